@@ -202,9 +202,9 @@ impl Against<'_> {
             true => (record.sampling(sampling), None),
             false => (self.record.sampling(sampling), planned_rounds(record)),
         };
-        let these: Vec<&Trial> = pairs.iter().map(|(_, b)| *b).collect();
-        if are_grouped(&these) {
-            return self.by_group(&these, &twins);
+        let (others, these): (Vec<&Trial>, Vec<&Trial>) = pairs.iter().copied().unzip();
+        if let Some(grouped) = [these, others].iter().find(|trials| are_grouped(trials)) {
+            return self.by_group(grouped, &twins);
         }
         let stage = StageComparison::of(&differences, &looks);
         Ok(Comparison { stage, ..self.conclude(&twins, &looks, stated, planned)? })

@@ -128,6 +128,9 @@ pub(crate) fn by_group(
     alpha: f64,
 ) -> Result<ByGroup, OutOfBounds> {
     let divisions = trials.first().map_or(0, |trial| trial.groups.len());
+    if divisions == 0 {
+        return Ok(ByGroup { ln_evidence: [0.0; 2], interval: Interval { low: 0.0, high: ceiling } });
+    }
     let mut found = ByGroup { ln_evidence: [f64::INFINITY; 2], interval: Interval { low: ceiling, high: 0.0 } };
     for division in 0..divisions {
         let means = |values: &[f64]| {

@@ -313,6 +313,15 @@ impl Record {
         Ok(record)
     }
 
+    /// The same record, whose rows are fewer than those that were divided into groups.
+    #[must_use]
+    pub(crate) fn divided_again(mut self) -> Self {
+        if let Population::Imported { cases, groups, .. } = &mut self.population {
+            *groups = divide(&mut self.trials, &[], cases.is_some()).unwrap_or_default();
+        }
+        self
+    }
+
     fn collect(
         provenance: &Provenance,
         dataset_sha256: &str,
@@ -336,7 +345,7 @@ impl Record {
             rows.push((part, Trial::of(&entry, &unseen)));
         }
         let all = rows.len();
-        let mut trials: Vec<Trial> = rows
+        let trials: Vec<Trial> = rows
             .into_iter()
             .filter_map(|(part, trial)| (!uneven.get(&part).copied().unwrap_or(false)).then_some(trial))
             .collect();
@@ -344,11 +353,8 @@ impl Record {
         if imported {
             no_copies(&trials)?;
         }
-        let (mut population, planned) = population(provenance, &trials)?;
-        if let Population::Imported { cases, groups, .. } = &mut population {
-            *groups = divide(&mut trials, &[], cases.is_some()).unwrap_or_default();
-        }
-        Ok(Self {
+        let (population, planned) = population(provenance, &trials)?;
+        let record = Self {
             population,
             planned,
             imported,
@@ -364,7 +370,8 @@ impl Record {
             controls: provenance.controls().cloned(),
             served: is_served(provenance),
             trials,
-        })
+        };
+        Ok(record.divided_again())
     }
 }
 

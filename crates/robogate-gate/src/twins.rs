@@ -246,7 +246,7 @@ impl Twins {
     #[must_use]
     pub fn without_nominal(mut record: Record, column: &str, nominal: &str) -> Record {
         record.trials.retain(|trial| !is_of(trial, column, nominal));
-        record
+        record.divided_again()
     }
 
     /// Pairs the episodes of one imported file. `column` is `category`, `group` or a parameter; rows with the value

@@ -4,7 +4,7 @@
 //! bodies. MuJoCo follows such a model until the memory is used up, which ends the process.
 
 use std::borrow::Cow;
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
 use std::fs;
 use std::io::{ErrorKind, Read};
 use std::path::Path;
@@ -31,34 +31,51 @@ const MOST_USER_VALUES: f64 = 1_000.0;
 const MOST_RESERVED: f64 = 1e6;
 const MOST_MEMORY_BYTES: f64 = (1_u64 << 30) as f64;
 
-/// The files of a robot below its folder, with their names relative to it and their contents: `robot.toml`, the model, and each file whose
-/// name a model among them contains. Other files, such as results of runs, are not the robot's.
+/// The files of a robot below its folder, with their names relative to it and their contents: `robot.toml`, the model, each file whose
+/// name a model among them contains, and the licences beside `robot.toml`. Other files, such as results of runs, are not the robot's.
 ///
 /// Names count without their folders, because the compiler looks for them in several, so this may find more files than the compiler
 /// opens and never fewer.
 pub(crate) fn files(folder: &Path, model: &str) -> Result<Vec<RobotFile>, RobotError> {
     let mut listed = Vec::new();
     list(folder, "", 0, &mut listed)?;
-    listed.sort();
-    let mut wanted: BTreeSet<String> = [last(model)].into();
+    let mut next: Vec<String> = vec!["robot.toml".to_owned()];
+    let mut by_name: BTreeMap<String, Vec<String>> = BTreeMap::new();
+    for name in listed {
+        match is_licence(&name) {
+            true => next.push(name),
+            false if name == "robot.toml" => {}
+            false => by_name.entry(last(&name)).or_default().push(name),
+        }
+    }
+    next.extend(by_name.remove(&last(model)).unwrap_or_default());
     let (mut found, mut left) = (Vec::new(), MOST_BYTES);
-    // A name in a model that the text alone does not show could be any.
-    let mut any = false;
-    loop {
-        let is_wanted = |name: &String| any || name == "robot.toml" || wanted.contains(&last(name));
-        let Some(at) = listed.iter().position(is_wanted) else { break };
-        let name = listed.remove(at);
-        let content = content(&folder.join(&name), &mut left)?;
+    while let Some(name) = next.pop() {
+        let path = folder.join(&name);
+        if name == "robot.toml" && !path.exists() {
+            continue;
+        }
+        let content = content(&path, &mut left)?;
         if found.len() == MOST_FILES {
             return Err(error(folder, format!("has more than {MOST_FILES} files. Expected a robot's folder")));
         }
-        let names = named_files::names(&content);
-        any |= names.iter().any(|name| name.contains('&'));
-        wanted.extend(names.iter().map(|name| last(name)));
+        for name in named_files::names(&content) {
+            // A name that the text alone does not show could be any.
+            if name.contains('&') {
+                next.extend(std::mem::take(&mut by_name).into_values().flatten());
+            }
+            next.extend(by_name.remove(&last(&name)).unwrap_or_default());
+        }
         found.push((name, Cow::Owned(content)));
     }
     found.sort_by(|(a, _), (b, _)| a.cmp(b));
     Ok(found)
+}
+
+/// Whether a file beside `robot.toml` has the terms on which the model may be copied, as evidence does.
+fn is_licence(name: &str) -> bool {
+    let lower = name.to_lowercase();
+    !name.contains('/') && ["license", "licence", "copying", "notice"].iter().any(|start| lower.starts_with(start))
 }
 
 fn error(path: &Path, why: String) -> RobotError {
@@ -139,7 +156,15 @@ fn list(folder: &Path, prefix: &str, depth: usize, names: &mut Vec<String>) -> R
         let entry = entry.map_err(|e| error(folder, e.to_string()))?;
         let path = entry.path();
         let name = format!("{prefix}{}", path.file_name().unwrap_or_default().to_string_lossy());
-        if entry.file_type().map_err(|e| error(&path, e.to_string()))?.is_dir() {
+        let kind = entry.file_type().map_err(|e| error(&path, e.to_string()))?;
+        // The compiler would follow a link to a folder, which could also lead in a circle.
+        if kind.is_symlink() && path.is_dir() {
+            return Err(error(
+                &path,
+                "a link to a folder. Expected only files and folders in a robot's folder".to_owned(),
+            ));
+        }
+        if kind.is_dir() {
             list(&path, &format!("{name}/"), depth + 1, names)?;
         } else if names.len() == MOST_LISTED {
             return Err(error(folder, format!("has more than {MOST_LISTED} files. Expected a robot's folder")));
@@ -361,13 +386,14 @@ mod tests {
         write("parts/hand.inc", "<mujoco><asset><mesh file=\"Finger.STL\"/></asset></mujoco>");
         write("meshes/finger.stl", "");
         write("requirements.toml", "");
+        write("LICENSE.txt", "");
         write("runs/a/gate.junit.xml", "<testsuite/>");
         let names =
             || -> Vec<String> { files(&folder, "arm.xml").unwrap().into_iter().map(|(name, _)| name).collect() };
-        assert_eq!(names(), ["arm.xml", "meshes/finger.stl", "parts/hand.inc", "robot.toml"]);
+        assert_eq!(names(), ["LICENSE.txt", "arm.xml", "meshes/finger.stl", "parts/hand.inc", "robot.toml"]);
         // The text does not show which file this is.
         write("arm.xml", "<mujoco><include file='parts/h&#97;nd.inc'/></mujoco>");
-        assert_eq!(names().len(), 6);
+        assert_eq!(names().len(), 7);
         fs::remove_dir_all(&folder).unwrap();
     }
 
@@ -379,9 +405,8 @@ mod tests {
         for name in ["b", "c"] {
             std::os::unix::fs::symlink(&folder, folder.join("a").join(name)).unwrap();
         }
-        assert!(files(&folder, "arm.xml").unwrap().is_empty());
-        let why = files(&folder, "b").unwrap_err().to_string();
+        let why = files(&folder, "arm.xml").unwrap_err().to_string();
         fs::remove_dir_all(&folder).unwrap();
-        assert!(why.contains("not a regular file"), "{why}");
+        assert!(why.contains("a link to a folder"), "{why}");
     }
 }

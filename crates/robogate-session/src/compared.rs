@@ -3,8 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::anyhow;
+use robogate_analysis::Source;
 use robogate_dictionary::Dictionary;
-use robogate_gate::{Asked, Baseline, Record};
+use robogate_gate::{Asked, Baseline, GateError, Record};
 
 use crate::failure::{Failure, OrFailure};
 use crate::source::open_source;
@@ -36,6 +37,18 @@ pub fn compared_with(asked: &Asked) -> Result<Option<(PathBuf, Record)>, Failure
         .or_request();
     }
     Ok(Some((path, record)))
+}
+
+/// The episodes of a run or an import, with what its folder says about faults.
+///
+/// # Errors
+/// Rows that cannot be judged.
+pub fn record_of(source: &Source) -> Result<Record, GateError> {
+    let record = Record::of(source.dictionary())?;
+    match source.folder() {
+        Some(folder) => record.with_faults_in(folder),
+        None => Ok(record),
+    }
 }
 
 /// The episodes of the run in `folder`, with the trials of the real robot that its gate was asked about.

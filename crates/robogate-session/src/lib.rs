@@ -64,7 +64,7 @@ mod worlds;
 pub use arms::Arms;
 pub use cell::{Cell, engine, identity, nominal, robot, robot_files};
 pub use checkpoint_statistics::CheckpointStatistics;
-pub use compared::{built_in_baseline, compared_with, judged};
+pub use compared::{built_in_baseline, compared_with, judged, record_of};
 pub use contest::{AfterRound, Contest, ContestEnd, Contestant};
 pub use controls::{CONTROL_EPISODES, run_controls};
 pub use environment_choice::EnvironmentChoice;

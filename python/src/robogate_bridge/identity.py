@@ -6,7 +6,8 @@ import struct
 from pathlib import Path
 
 # Attributes of MJCF and URDF that name files.
-_NAMES = re.compile(rb"""\s(?:file(?:right|left|up|down|front|back|name)?)\s*=\s*(["'])(.*?)\1""", re.DOTALL)
+_NAMES = re.compile(rb"""(?<![\w-])(?:file(?:right|left|up|down|front|back|name)?)\s*=\s*(["'])(.*?)\1""", re.DOTALL)
+_LICENCE = re.compile(r"(?:licen[cs]e|copying|notice)[^/]*$", re.IGNORECASE)
 _COMMENT = re.compile(rb"<!--.*?(?:-->|$)", re.DOTALL)
 
 
@@ -15,7 +16,7 @@ def _last(path):
 
 
 def _robot_files(root):
-    """robot.toml, the model, and each file whose name a model among them contains, as RoboGate finds them."""
+    """robot.toml, the model, each file whose name a model among them contains, and licences, as RoboGate finds them."""
     import tomllib  # From Python 3.11 on, which simulators with robots have.
 
     listed = {path.relative_to(root).as_posix(): path for path in root.rglob("*") if not path.is_dir()}
@@ -23,7 +24,7 @@ def _robot_files(root):
         wanted = {_last(tomllib.load(file)["model"])}
     found, unknown = {}, False
     while True:
-        name = next((n for n in sorted(listed) if unknown or n == "robot.toml" or _last(n) in wanted), None)
+        name = next((n for n in sorted(listed) if unknown or n == "robot.toml" or _LICENCE.match(n) or _last(n) in wanted), None)
         if name is None:
             return found
         content = found[name] = listed.pop(name).read_bytes()

@@ -233,8 +233,8 @@ pub(super) fn truth(value: &Scalar) -> Option<bool> {
         Scalar::Number(x) if x.to_bits() == 0_f64.to_bits() => Some(false),
         Scalar::Number(x) if x.to_bits() == 1_f64.to_bits() => Some(true),
         Scalar::Text(word) => match word.to_ascii_lowercase().as_str() {
-            "true" | "yes" | "success" | "succeeded" | "pass" | "passed" | "ok" => Some(true),
-            "false" | "no" | "fail" | "failed" | "failure" | "nok" | "not ok" => Some(false),
+            "true" | "yes" | "success" | "succeeded" | "pass" | "passed" => Some(true),
+            "false" | "no" | "fail" | "failed" | "failure" => Some(false),
             _ => None,
         },
         Scalar::Null | Scalar::Integer(_) | Scalar::Unsigned(_) | Scalar::Number(_) | Scalar::Nested => None,

@@ -5,7 +5,7 @@ use mujoco_rs::wrappers::mj_editing::{MjsBody, MjsGeom};
 use nalgebra::{Isometry3, Matrix3, Translation3, UnitQuaternion};
 
 use super::{FIXTURE, JOINTED, MujocoEngine, OBJECT, PREFIX, joints, wxyz};
-use crate::{Motion, Part, Primitive, Scene, contact};
+use crate::{JointKind, Motion, Part, Primitive, Scene, contact};
 
 impl MujocoEngine {
     /// Adds a scene to the robot's model.
@@ -26,11 +26,15 @@ impl MujocoEngine {
                 *body.quat_mut() = wxyz(&pose.rotation);
                 let (kind, axis, anchor) = motion.joint();
                 // Weight would accelerate it along a joint that is not horizontal.
-                body.set_gravcomp(if matches!(motion, Motion::Straight { .. }) { 0.0 } else { 1.0 });
+                if !matches!(motion, Motion::Straight { .. }) {
+                    body.set_gravcomp(1.0);
+                }
                 let joint = body.add_joint().with_name(&name);
                 joint.set_type(joints::kind(kind));
                 *joint.axis_mut() = (pose.rotation.inverse() * axis).into();
-                *joint.pos_mut() = pose.inverse_transform_point(&anchor.into()).into();
+                if kind == JointKind::Hinge {
+                    *joint.pos_mut() = pose.inverse_transform_point(&anchor.into()).into();
+                }
                 let geom = body.add_geom().with_name(&name);
                 shape(geom, primitive, &Isometry3::identity());
                 geom.set_mass(contact::DRIVEN_MASS_KG);

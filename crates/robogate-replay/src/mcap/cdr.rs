@@ -143,6 +143,7 @@ impl Reader<'_> {
         }
         let mut object = Map::new();
         for Field { name, type_name, count } in fields {
+            self.left = self.left.checked_sub(1).ok_or_else(|| format!("it has more than {MOST_VALUES} values"))?;
             let length = match count {
                 Count::One => {
                     object.insert(name.clone(), self.value(types, type_name, depth)?);
@@ -257,6 +258,9 @@ mod tests {
         assert!(decode("uint8[4000000000] a", &vec![0; 1 << 20]).unwrap_err().contains("values"));
         assert!(decode("uint8[] a", &[255; 8]).unwrap_err().contains("shorter"));
         assert!(decode("b/B b", &[0; 8]).unwrap_err().contains("lacks the type b/B"));
+        let empty: String = (0..2_000).map(|i| format!("uint8[0] x{i}\n")).collect();
+        let many = format!("b/B[90000] b\n================\nMSG: b/B\n{empty}");
+        assert!(decode(&many, &[0; 8]).unwrap_err().contains("values"));
         assert!(Definition::parse("a/A", "nonsense").is_err());
         assert!(Definition::parse("a/A", "uint8[x] a").is_err());
         assert!(Definition::parse("a/A", &"uint8 a\n".repeat(20_000)).is_err());

@@ -16,8 +16,8 @@ use super::file::{MAGIC, op};
 const LARGEST: u64 = 256 << 20;
 /// Most schemas, and most channels, of a file.
 const MOST_DECLARED: usize = 10_000;
-/// Largest schema, in bytes.
-const LARGEST_SCHEMA: usize = 1 << 20;
+/// Most bytes of all schemas together.
+const LARGEST_DECLARED: usize = 16 << 20;
 /// Limits on a message in JSON.
 const MESSAGE: Budget = Budget { bytes: 8 << 20, values: 1 << 18, depth: 64 };
 
@@ -44,7 +44,7 @@ pub fn read_mcap(mut input: impl Read, topics: &dyn Fn(&str) -> bool, each: Each
     if input.read_exact(&mut magic).is_err() || magic != MAGIC {
         return Err("not an MCAP file".to_owned());
     }
-    let mut decoder = Decoder { topics, schemas: BTreeMap::new(), channels: BTreeMap::new() };
+    let mut decoder = Decoder { topics, schemas: BTreeMap::new(), declared: 0, channels: BTreeMap::new() };
     let mut record = Vec::new();
     loop {
         match next(&mut input, &mut record)? {
@@ -90,6 +90,8 @@ struct Decoder<'a> {
     topics: &'a dyn Fn(&str) -> bool,
     /// Name, encoding and text of each schema.
     schemas: BTreeMap<u16, (String, String, String)>,
+    /// Bytes of all schemas so far.
+    declared: usize,
     /// Channels of the topics that are read. `None` for the others.
     channels: BTreeMap<u16, Option<(String, Encoding)>>,
 }
@@ -101,7 +103,8 @@ impl Decoder<'_> {
             op::SCHEMA => {
                 let id = fields.u16()?;
                 let schema = (fields.text()?, fields.text()?, fields.text()?);
-                if self.schemas.len() >= MOST_DECLARED || schema.2.len() > LARGEST_SCHEMA {
+                self.declared += schema.0.len() + schema.1.len() + schema.2.len();
+                if self.schemas.len() >= MOST_DECLARED || self.declared > LARGEST_DECLARED {
                     return Err("it has too many schemas, or too large ones".to_owned());
                 }
                 self.schemas.insert(id, schema);

@@ -89,7 +89,8 @@ impl FleetPlan {
             }
             let (asked, _) = rounds.end(&completion)?;
             // From the rows on disk.
-            let record = Record::of(&Dictionary::open(&folder.join(DICTIONARY)).or_broken()?)?;
+            let record =
+                Record::of(&Dictionary::open(&folder.join(DICTIONARY)).or_broken()?)?.with_faults_in(&folder)?;
             let evaluation = question(&asked, None).evaluate(&record)?;
             let unit = FleetUnit::of(u64::from(unit.number), unit.seed, &unit.parameters, &evaluation);
             on_unit(&folder, &unit, &evaluation)?;

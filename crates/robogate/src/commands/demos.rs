@@ -19,7 +19,7 @@ use serde_json::json;
 use crate::arguments::EnvironmentArguments;
 use crate::commands::run::stop_on_signal;
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INTERRUPTED, INVALID, OrExit, USAGE};
-use crate::number::at_least_one;
+use crate::number;
 use crate::place;
 use crate::terminal::{grouped, line, note, warning};
 use robogate_session::{Cell, named_space};
@@ -57,7 +57,7 @@ pub(crate) struct Demos {
     #[arg(long)]
     all: bool,
     /// Set the number of threads; default: one for each core
-    #[arg(long, value_name = "T", value_parser = at_least_one::<NonZeroUsize>)]
+    #[arg(long, value_name = "T", value_parser = number::threads)]
     threads: Option<NonZeroUsize>,
     /// Print the result as one JSON document
     #[arg(long)]

@@ -10,7 +10,7 @@ use robogate_report::{leaderboard_html, leaderboard_markdown, leaderboard_text};
 
 use crate::exit::{DONE, Exit, INVALID, OrExit};
 use crate::terminal::{foreign, line, note, print_report};
-use robogate_session::{built_in_baseline, open_source};
+use robogate_session::{built_in_baseline, open_source, record_of};
 
 /// Rank policies that ran the same scenarios, by the paper's confidence score.
 #[derive(Debug, Args)]
@@ -52,7 +52,7 @@ impl Rank {
         for run in &self.runs {
             let (name, path) = named(run);
             let source = open_source(&path)?;
-            let record = Record::of(source.dictionary()).or_broken()?;
+            let record = record_of(&source).or_broken()?;
             if let Some(at) = entries.iter().position(|(_, other, _)| other.dataset_sha256 == record.dataset_sha256) {
                 let first = foreign(&self.runs[at]);
                 let why = anyhow::anyhow!("{first} and {} have the same rows\nHint: remove one of them", foreign(run));

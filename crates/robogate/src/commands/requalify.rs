@@ -63,7 +63,7 @@ pub(crate) struct Requalify {
     #[arg(long, value_name = "SHARE", default_value_t = 0.1)]
     margin: f64,
     /// Set how many episodes run at once; default: one on each processor
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = crate::number::threads)]
     threads: Option<NonZeroUsize>,
     /// Choose the Python of the environment before the upgrade; default: that of the run
     #[arg(long, value_name = "PATH")]

@@ -24,7 +24,7 @@ use crate::commands::shard;
 use crate::exit::{DONE, Exit, INTERRUPTED, INVALID, OrExit};
 use crate::force_limits;
 use crate::given::Given;
-use crate::number::at_least_one;
+use crate::number::{self, at_least_one};
 use crate::place;
 use crate::progress::Progress;
 use crate::summary;
@@ -157,11 +157,11 @@ fn describe_a_plan(given: &Given) -> bool {
 pub(crate) struct How {
     /// Set the number of threads; default: one for each core, or for each server of --simulator. With a policy server:
     /// four for each core, from 8 to 32, because most of the time is spent waiting. --env starts a server for each thread
-    #[arg(long, value_name = "T", value_parser = at_least_one::<NonZeroUsize>)]
+    #[arg(long, value_name = "T", value_parser = number::threads)]
     pub(crate) threads: Option<NonZeroUsize>,
     /// Set the number of episodes in progress at once, in all threads together, rounded up to the same number in each thread;
     /// default: one in each thread. --engine warp: 2048 on a GPU
-    #[arg(long, value_name = "N", value_parser = at_least_one::<NonZeroUsize>)]
+    #[arg(long, value_name = "N", value_parser = number::in_flight)]
     pub(crate) in_flight: Option<NonZeroUsize>,
     /// Print the result as one JSON document
     #[arg(long)]

@@ -2,26 +2,37 @@
 
 from __future__ import annotations
 
-from copy import copy
+import sys
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
+
+# Deepest nesting of containers that are copied.
+DEEPEST = 8
 
 
-def owned(value: Any) -> Any:
+def owned(value: Any, depth: int = 0) -> Any:
     """A copy of the arrays in `value`, and of the dicts, lists and tuples around them. Many environments write each observation into the
-    same array."""
-    if isinstance(value, np.ndarray):
+    same array. Values of other kinds stay as they are."""
+    # Environments are listed, and declared, without NumPy.
+    numpy = sys.modules.get("numpy")
+    if numpy is not None and isinstance(value, numpy.ndarray):
         return value.copy()
-    if isinstance(value, dict):
-        copied = copy(value)
-        for key, item in value.items():
-            copied[key] = owned(item)
-        return copied
-    if isinstance(value, (list, tuple)):
-        items = [owned(item) for item in value]
-        return type(value)(*items) if hasattr(value, "_fields") else type(value)(items)
+    if depth >= DEEPEST:
+        return value
+    try:
+        if isinstance(value, Mapping):
+            copied = {key: owned(item, depth + 1) for key, item in value.items()}
+            return copied if type(value) is dict else type(value)(copied)
+        if isinstance(value, (list, tuple)):
+            items = [owned(item, depth + 1) for item in value]
+            return type(value)(*items) if hasattr(value, "_fields") else type(value)(items)
+        if type(value).__module__.partition(".")[0] == "torch" and hasattr(value, "clone"):
+            return value.clone()
+    except (TypeError, ValueError):
+        # A container that is made in another way.
+        return value
     return value
 
 

@@ -4,7 +4,8 @@ use std::path::Path;
 
 use anyhow::Context;
 use robogate_analysis::Source;
-use robogate_gate::{Baseline, Metric, Record};
+use robogate_gate::{Baseline, Metric};
+use robogate_session::record_of;
 use robogate_stats::format::number;
 
 use crate::exit::{Exit, INVALID, OrExit};
@@ -12,7 +13,7 @@ use crate::terminal::{grouped, note, percent};
 
 /// Writes the figures of a run to a file. It records the scenarios of the run: a gate rejects it for others.
 pub(super) fn write(source: &Source, file: &Path) -> Result<(), Exit> {
-    let record = Record::of(source.dictionary()).or_broken()?;
+    let record = record_of(source).or_broken()?;
     let baseline = Baseline::of(&record).map_err(|error| Exit { code: INVALID, error: error.into() })?;
     std::fs::write(file, baseline.to_json())
         .with_context(|| format!("cannot write {}", file.display()))

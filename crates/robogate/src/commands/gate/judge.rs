@@ -5,7 +5,7 @@ use std::path::Path;
 
 use anyhow::Context;
 use robogate_analysis::{AnalysisOptions, Source};
-use robogate_gate::{Asked, Evaluation, Question, RealEvidence, Record, Requirements, Sampling, Verdict};
+use robogate_gate::{Asked, Evaluation, Question, RealEvidence, Requirements, Sampling, Verdict};
 use robogate_stats::format::counted;
 
 use super::question::{Other, real_evidence_for};
@@ -19,7 +19,7 @@ use crate::force_limits;
 use crate::terminal::note;
 use crate::twins::NominalArguments;
 use robogate_session::text::quoted;
-use robogate_session::{MARGIN, compared_with, judged, nominal_rate_of, open_source, question, twins_of};
+use robogate_session::{MARGIN, compared_with, judged, nominal_rate_of, open_source, question, record_of, twins_of};
 
 impl Gate {
     /// Judges a finished run.
@@ -29,11 +29,7 @@ impl Gate {
         if let Some(file) = &self.write_baseline {
             baseline::write(&source, file)?;
         }
-        let record = Record::of(source.dictionary())?;
-        let mut record = match source.folder() {
-            Some(folder) => record.with_faults_in(folder)?,
-            None => record,
-        };
+        let mut record = record_of(&source)?;
         let asked = source.folder().map_or(Ok(None), Asked::of)?;
         // A run that was tested after each round stays a sequential test, also if it is judged again.
         let sampling = asked.as_ref().map_or(Sampling::Fixed, |asked| asked.sampling);

@@ -15,7 +15,7 @@ use crate::commands::run::write_report;
 use crate::commands::shard;
 use crate::exit::{DONE, Exit, INFRASTRUCTURE, INVALID, OrExit};
 use crate::terminal::{line, print_report, warning};
-use robogate_session::{Reopening, Trust, built_in_baseline, open_source};
+use robogate_session::{Reopening, Trust, built_in_baseline, open_source, record_of};
 
 /// The pages in the folder of a sweep.
 const PAGES: [&str; 2] = ["leaderboard.html", "leaderboard.md"];
@@ -78,7 +78,7 @@ fn boards(dir: &Path, plan: &SweepPlan) -> Result<Vec<Leaderboard>, Exit> {
     let mut groups: Vec<Vec<(String, Record, Sampling)>> = Vec::new();
     for run in plan.runs.iter().filter(|run| run.dir(dir).join(SUMMARY).is_file()) {
         let source = open_source(&run.dir(dir))?;
-        let record = Record::of(source.dictionary()).or_broken()?;
+        let record = record_of(&source).or_broken()?;
         let comparable = |group: &&mut Vec<(String, Record, Sampling)>| {
             group.first().is_some_and(|(_, first, _)| {
                 first.population.is_that_of(&record.population) && first.task.name == record.task.name

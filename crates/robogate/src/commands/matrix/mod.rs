@@ -22,7 +22,7 @@ use robogate_dictionary::read_text;
 
 use crate::commands::run::free_folder;
 use crate::exit::{Exit, OrExit};
-use crate::number::at_least_one;
+use crate::number;
 use crate::place;
 use crate::terminal::{grouped, line, note};
 use sweep::{Sweep, SweepPlan, VERSION};
@@ -45,7 +45,7 @@ pub(crate) struct Matrix {
     #[arg(long, value_name = "DIR", value_parser = place::local())]
     out: Option<PathBuf>,
     /// Set the number of threads of each run; default: one for each core
-    #[arg(long, value_name = "T", value_parser = at_least_one::<NonZeroUsize>)]
+    #[arg(long, value_name = "T", value_parser = number::threads)]
     threads: Option<NonZeroUsize>,
     /// Divide each run into N shards, and run nothing
     #[arg(long, value_name = "N", requires = "out")]

@@ -16,7 +16,7 @@ use sha2::{Digest, Sha256};
 
 use crate::commands::run::stop_on_signal;
 use crate::exit::{Exit, OrExit};
-use crate::number::at_least_one;
+use crate::number;
 use crate::terminal::note;
 
 /// The run of a detector.
@@ -26,7 +26,7 @@ pub(super) struct RunArguments {
     #[arg(value_name = "DIR")]
     pub(super) run: std::path::PathBuf,
     /// Set the number of threads for episodes that run again; default: one for each core
-    #[arg(long, value_name = "T", value_parser = at_least_one::<NonZeroUsize>)]
+    #[arg(long, value_name = "T", value_parser = number::threads)]
     threads: Option<NonZeroUsize>,
 }
 
