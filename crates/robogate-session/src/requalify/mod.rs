@@ -5,12 +5,14 @@ mod side;
 
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use anyhow::anyhow;
 use robogate_dictionary::{Dictionary, Entry, Place, Provenance, PythonPlace};
 use robogate_gate::{Ending, Requalification, Requalifier, Seen};
 use serde::Serialize;
 
+use crate::cell;
 use crate::environment_choice::absolute;
 use crate::environments::Interpreter;
 use crate::failure::{Failure, FailureKind, OrFailure};
@@ -151,6 +153,11 @@ impl RecordedRun {
                 place.robot = absolute(name);
                 opening.robot = robogate_physics::is_folder(name).then(|| name.clone());
                 provenance.robot.sha256 = None;
+                // Values of the other robot's gripper, such as the grip force of fingers for a cup.
+                let robot = cell::robot(name).or_request()?;
+                let task = cell::recorded_task(&provenance.task).or_request()?;
+                let applies = |name: &str| task.has_effect(name, &robot.settings.gripper);
+                Arc::make_mut(&mut provenance.task).settings.retain(|setting| applies(&setting.name));
             }
             (Upgrade::Engine(name), Some(Place::Cell(place))) => {
                 let Some(engine) = ENGINES.iter().find(|engine| engine.name == name) else {

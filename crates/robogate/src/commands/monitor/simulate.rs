@@ -68,8 +68,9 @@ impl Simulate {
         };
         share("--rate", self.rate)?;
         self.drop_to.iter().try_for_each(|to| share("--drop-to", *to))?;
-        if !(self.cycle_s > 0.0 && self.cycle_s.is_finite()) {
-            return Err(anyhow!("--cycle-s {} is out of range: expected seconds above 0", self.cycle_s)).or_usage();
+        if !(1e-3..=1e9).contains(&self.cycle_s) {
+            return Err(anyhow!("--cycle-s {} is out of range: expected 0.001 to 1e9 seconds", self.cycle_s))
+                .or_usage();
         }
         if self.baseline_cycles == 0 || !(2..=100_000).contains(&self.streams) {
             let hint = "--baseline-cycles must be above 0 and --streams from 2 to 100000";
