@@ -140,7 +140,8 @@ fn wrong_arguments_are_usage_errors() {
         path
     };
     run("-n", "0", &["'0' for '--n <N>'", "at least 1"]);
-    run("--threads", "0", &["'0' for '--threads <T>'", "at least 1"]);
+    run("--threads", "0", &["'0' for '--threads <T>'", "from 1 to 4096"]);
+    run("--threads", "1000000000000", &["from 1 to 4096"]);
     assert_usage(&["run", "--out", &out, "-n", "3", "--rounds", "5"], &["--rounds needs --suite"]);
     assert_usage(&["gate", "--baseline", &out, "--against-profile", "droid"], &["--against-profile", "--baseline"]);
     run("--robot", "r2d2", &["unknown robot `r2d2`", "franka"]);
