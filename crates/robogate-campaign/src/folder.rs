@@ -60,6 +60,11 @@ impl Folder {
         self.dir.join(name)
     }
 
+    /// The folder itself.
+    pub(crate) fn dir(&self) -> &Path {
+        &self.dir
+    }
+
     pub(crate) fn has(&self, name: &str) -> bool {
         self.path(name).exists()
     }
@@ -92,14 +97,7 @@ impl Folder {
     /// Appends one line per document to a file of JSON lines.
     pub(crate) fn append(&self, name: &str, documents: &[impl Serialize]) -> Result<(), RunError> {
         let path = self.path(name);
-        let append = || {
-            let mut lines = Vec::new();
-            for document in documents {
-                serde_json::to_writer(&mut lines, document)?;
-                lines.push(b'\n');
-            }
-            OpenOptions::new().append(true).create(true).open(&path)?.write_all(&lines)
-        };
+        let append = || OpenOptions::new().append(true).create(true).open(&path)?.write_all(&json_lines(documents)?);
         append().map_err(RunError::io(&path, "write"))
     }
 
@@ -159,6 +157,16 @@ pub fn write_atomically(dir: &Path, name: &str, bytes: &[u8]) -> io::Result<()> 
     write().inspect_err(|_| {
         let _ = fs::remove_file(&part);
     })
+}
+
+/// The bytes of JSON documents with one line each.
+pub(crate) fn json_lines(documents: &[impl Serialize]) -> serde_json::Result<Vec<u8>> {
+    let mut lines = Vec::new();
+    for document in documents {
+        serde_json::to_writer(&mut lines, document)?;
+        lines.push(b'\n');
+    }
+    Ok(lines)
 }
 
 /// The bytes of a JSON document as this crate writes it.

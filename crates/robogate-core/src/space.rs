@@ -170,7 +170,7 @@ impl Domain {
     /// Both ends of a range and a number between them, or every choice. An environment that accepts these values accepts all.
     pub fn extremes(&self) -> Vec<Value> {
         match self {
-            // A number between them is no integer, even if both ends are.
+            // Numbers between the ends need not be integers, even if both ends are.
             Self::Continuous { low, high, .. } => {
                 vec![Value::Number(*low), Value::Number(*high), Value::Number(low + 0.618 * (high - low))]
             }

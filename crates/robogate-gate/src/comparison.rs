@@ -264,23 +264,15 @@ impl Against<'_> {
     /// of the bets, which holds for any distribution over groups.
     fn by_group(&self, these: &[&Trial], twins: &[Twin]) -> Result<Comparison, GateError> {
         let plain = self.conclude(twins, &[twins.len()], Sampling::Sequential, None)?;
-        let shifted = |unknown: f64| -> Vec<f64> {
-            let difference = |(a, b): (bool, bool)| 1.0 + f64::from(u8::from(b)) - f64::from(u8::from(a));
-            twins.iter().map(|twin| twin.map_or(unknown, difference)).collect()
-        };
-        let (least, most, tail) = (shifted(0.0), shifted(2.0), Confidence::P95.tail());
+        let (least, most, tail) = (moved(twins, 0.0), moved(twins, 2.0), Confidence::P95.tail());
         let test = |limit: f64| by_group(these, [&least, &most], 2.0, limit, tail);
         let (Ok(margin), Ok(equal)) = (test(1.0 - self.margin), test(1.0)) else {
             return Ok(Comparison { interval_95: [-1.0, 1.0], p_different: 1.0, p_met: 1.0, p_violated: 1.0, ..plain });
         };
-        let p = |ln_evidence: f64| (-ln_evidence.max(0.0)).exp();
-        Ok(Comparison {
-            interval_95: [equal.interval.low - 1.0, equal.interval.high - 1.0],
-            p_different: (2.0 * equal.ln_evidence.map(p).into_iter().fold(1.0, f64::min)).min(1.0),
-            p_met: p(margin.ln_evidence[0]),
-            p_violated: p(margin.ln_evidence[1]),
-            ..plain
-        })
+        let [p_met, p_violated] = margin.p();
+        let interval_95 = [equal.interval.low - 1.0, equal.interval.high - 1.0];
+        let p_different = (2.0 * equal.p().into_iter().fold(1.0, f64::min)).min(1.0);
+        Ok(Comparison { interval_95, p_different, p_met, p_violated, ..plain })
     }
 
     /// `rounds` is the largest number of looks, if it was fixed before the first episode.
@@ -311,13 +303,9 @@ impl Against<'_> {
                 (met, violated)
             }
             (Sampling::Sequential, None) => {
-                // The difference of a pair, -1 to 1, is shifted to 0 to 2. The mean under the hypothesis is 1 - margin.
+                // The mean under the hypothesis is 1 - margin.
                 non_inferiority::check(self.margin)?;
-                let moved = |unknown: f64| -> Vec<f64> {
-                    let difference = |(a, b): (bool, bool)| 1.0 + f64::from(u8::from(b)) - f64::from(u8::from(a));
-                    twins.iter().map(|twin| twin.map_or(unknown, difference)).collect()
-                };
-                let (worst, best) = (moved(0.0), moved(2.0));
+                let (worst, best) = (moved(twins, 0.0), moved(twins, 2.0));
                 let account = |values: &[f64], above: bool| {
                     // The values are 0, 1 and 2.
                     BoundedMean::new(values, looks, 2.0).map_or(0.0, |mean| {
@@ -384,6 +372,12 @@ fn by_identity(record: &Record, one_case: bool) -> Result<BTreeMap<(&str, i64), 
 fn twin(a: &Trial, b: &Trial) -> Twin {
     let both = a.ending.is_valid() && b.ending.is_valid();
     both.then_some((a.ending == Ending::Success, b.ending == Ending::Success))
+}
+
+/// The difference of each pair, -1 to 1, shifted to 0 to 2. Pairs with an invalid episode have the value `unknown`.
+fn moved(twins: &[Twin], unknown: f64) -> Vec<f64> {
+    let difference = |(a, b): (bool, bool)| 1.0 + f64::from(u8::from(b)) - f64::from(u8::from(a));
+    twins.iter().map(|twin| twin.map_or(unknown, difference)).collect()
 }
 
 /// Counts pairs. Those with an invalid episode count as `unknown`, or are skipped.

@@ -113,6 +113,13 @@ pub(crate) struct ByGroup {
     pub(crate) interval: Interval,
 }
 
+impl ByGroup {
+    /// The p-values of "the mean is at most the limit" and "at least the limit".
+    pub(crate) fn p(&self) -> [f64; 2] {
+        self.ln_evidence.map(|ln_evidence| (-ln_evidence.max(0.0)).exp())
+    }
+}
+
 /// Whether the trials are those of groups.
 pub(crate) fn are_grouped(trials: &[&Trial]) -> bool {
     trials.first().is_some_and(|trial| !trial.groups.is_empty())

@@ -83,8 +83,8 @@ impl Population {
         }
     }
 
-    /// What divides imported episodes into groups that depend on each other.
-    pub(crate) fn groups(&self) -> &[RowGroups] {
+    /// What divides imported episodes into groups that depend on each other. Empty for others.
+    pub fn groups(&self) -> &[RowGroups] {
         match self {
             Self::Imported { groups, .. } => groups,
             Self::Suite { .. } | Self::Drawn { .. } => &[],

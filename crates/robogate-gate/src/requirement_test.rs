@@ -148,11 +148,11 @@ fn rate_by_group(metric: Metric, limit: Bound, bound: Bound, rounds: &[Vec<&Tria
 }
 
 /// The result of a test by group, whose values were shifted by `floor`.
-fn of_groups(ByGroup { ln_evidence: [above, below], interval }: ByGroup, sense: Sense, floor: f64) -> Tested {
-    let (met, violated) = if sense == Sense::AtLeast { (above, below) } else { (below, above) };
-    let p = |ln_evidence: f64| (-ln_evidence.max(0.0)).exp();
-    let interval = Some([interval.low + floor, interval.high + floor]);
-    Tested { p_met: p(met), p_violated: p(violated), interval }
+fn of_groups(tested: ByGroup, sense: Sense, floor: f64) -> Tested {
+    let [above, below] = tested.p();
+    let (p_met, p_violated) = if sense == Sense::AtLeast { (above, below) } else { (below, above) };
+    let interval = Some([tested.interval.low + floor, tested.interval.high + floor]);
+    Tested { p_met, p_violated, interval }
 }
 
 /// ln of both p-values and the interval of a suite, whose scenarios are strata.

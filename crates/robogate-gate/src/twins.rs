@@ -241,7 +241,7 @@ impl Twins {
         Ok(Self::from_pairs(record, nominal, &pairs, &alone, unpaired, looks))
     }
 
-    /// The record without the rows of the control arm, which are no episodes of the verdict: those with this value of `column`
+    /// The record without the rows of the control arm, which the verdict does not count: those with this value of `column`
     /// ([`Twins::within`]).
     #[must_use]
     pub fn without_nominal(mut record: Record, column: &str, nominal: &str) -> Record {

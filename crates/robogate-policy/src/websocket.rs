@@ -310,7 +310,7 @@ impl TextSocket {
         self.0.send(message).map_err(|e| classify(e, "sending a message", deadline))
     }
 
-    /// Wait for the next message. `None` if there is none within a number of seconds.
+    /// Wait for the next message. `None` if no message arrives within this number of seconds.
     pub fn receive(&mut self, within_s: f64) -> Result<Option<Incoming>, PolicyError> {
         let deadline = Deadline::within(within_s);
         self.0.get_mut().stream_mut().deadline = deadline;

@@ -19,20 +19,25 @@ def _robot_files(root):
     """robot.toml, the model, each file whose name a model among them contains, and licences, as RoboGate finds them."""
     import tomllib  # From Python 3.11 on, which simulators with robots have.
 
-    listed = {path.relative_to(root).as_posix(): path for path in root.rglob("*") if not path.is_dir()}
+    by_name = {}
     with (root / "robot.toml").open("rb") as file:
-        wanted = {_last(tomllib.load(file)["model"])}
-    found, unknown = {}, False
-    while True:
-        name = next((n for n in sorted(listed) if unknown or n == "robot.toml" or _LICENCE.match(n) or _last(n) in wanted), None)
-        if name is None:
-            return found
-        content = found[name] = listed.pop(name).read_bytes()
-        if content.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"<"):
-            names = [value.decode(errors="replace") for _, value in _NAMES.findall(_COMMENT.sub(b"", content))]
-            # A name that the text alone does not show could be any.
-            unknown = unknown or any("&" in value for value in names)
-            wanted.update(map(_last, names))
+        # These settings and the licences have a key of their own: their places count, not only their names.
+        wanted = ["", _last(tomllib.load(file)["model"])]
+    for path in root.rglob("*"):
+        name = path.relative_to(root).as_posix()
+        if not path.is_dir():
+            key = "" if name == "robot.toml" or _LICENCE.match(name) else _last(name)
+            by_name.setdefault(key, []).append(name)
+    found = {}
+    while wanted:
+        for name in by_name.pop(wanted.pop(), []):
+            content = found[name] = (root / name).read_bytes()
+            if not content.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"<"):
+                continue
+            for value in (value.decode(errors="replace") for _, value in _NAMES.findall(_COMMENT.sub(b"", content))):
+                # A name that the text alone does not show could be any.
+                wanted += list(by_name) if "&" in value else [_last(value)]
+    return found
 
 
 def robot_sha256(folder):

@@ -151,8 +151,8 @@ fn inside(domain: &Domain, value: f64) -> bool {
 impl RealTrials {
     /// Reads trials. The columns are `success` (true or false, yes or no, 1 or 0), optionally `failure_mode`, the
     /// parameters of `space` by name, and groups. `groups` names the columns of trials that may share effects; without
-    /// them those whose names say so are used, such as `operator`, `day` and `session`. Trials with equal parameters form groups too, if one of these is a
-    /// continuous one: the others may be equal by chance.
+    /// them those whose names say so are used, such as `operator`, `day` and `session`. Trials with equal parameters form
+    /// groups too, if one of these is a continuous one: the others may be equal by chance.
     ///
     /// # Errors
     /// The first problem in the file, with its line.

@@ -249,8 +249,7 @@ impl<'a> Run<'a> {
 
     /// The attempts that infrastructure faults have lost, also those of earlier processes.
     fn lost(&self) -> Result<Vec<LostEpisode>, RunError> {
-        let path = self.folder.path(LostEpisode::FILE);
-        LostEpisode::all(path.parent().unwrap_or(&path)).map_err(RunError::io(&path, "read"))
+        LostEpisode::all(self.folder.dir()).map_err(RunError::io(&self.folder.path(LostEpisode::FILE), "read"))
     }
 
     fn stage_finished(&mut self, stage: Stage, outcomes: OutcomeCounts) -> Result<(), RunError> {

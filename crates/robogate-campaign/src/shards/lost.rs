@@ -4,6 +4,7 @@ use robogate_dictionary::{LostEpisode, hex};
 
 use super::{ShardError, Shards, file, get, put, store};
 use crate::RunError;
+use crate::folder::json_lines;
 
 /// The ending of such a file, after the name of the shard's file and a hash of its content.
 const LOST: &str = ".lost";
@@ -15,10 +16,9 @@ impl Shards {
             return Ok(());
         }
         let path = self.store.place(name);
-        let lines = lost.iter().map(|of| serde_json::to_string(of).map(|line| line + "\n"));
-        let text: String = lines.collect::<Result<_, _>>().map_err(|source| RunError::Unreadable { path, source })?;
-        let name = format!("{name}.{}{LOST}", &hex(&file::sha256(text.as_bytes()))[..16]);
-        put(&*self.store, &name, text.as_bytes())?;
+        let lines = json_lines(lost).map_err(|source| RunError::Unreadable { path, source })?;
+        let name = format!("{name}.{}{LOST}", &hex(&file::sha256(&lines))[..16]);
+        put(&*self.store, &name, &lines)?;
         Ok(())
     }
 

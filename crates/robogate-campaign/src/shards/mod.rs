@@ -40,7 +40,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use robogate_core::ParameterSpace;
-use robogate_dictionary::{Entry, Provenance, hex};
+use robogate_dictionary::{Entry, LostEpisode, Provenance, hex};
 use serde::{Deserialize, Serialize};
 
 pub use error::ShardError;
@@ -212,6 +212,7 @@ impl Shards {
         mut after_round: Option<&mut AfterRound<'_>>,
     ) -> Result<(Vec<ShardRound>, Option<OpenRound>), ShardError> {
         let committed = self.committed(files)?;
+        let lost = if after_round.is_some() { self.lost(files)? } else { Vec::new() };
         let mut complete = Vec::new();
         for round in ShardRound::all(self.plan()) {
             if self.is_over(round)? {
@@ -223,7 +224,7 @@ impl Shards {
             }
             complete.push(round);
             if let (Some(decide), ShardRound::Suite(number)) = (&mut after_round, round)
-                && self.decide(round, number, *decide)?.is_break()
+                && self.decide(round, number, &lost, *decide)?.is_break()
             {
                 break;
             }
@@ -236,12 +237,12 @@ impl Shards {
         &self,
         round: ShardRound,
         number: u64,
+        lost: &[LostEpisode],
         after_round: &mut AfterRound<'_>,
     ) -> Result<ControlFlow<()>, ShardError> {
         let mut entries = self.entries(round).collect::<Result<Vec<Entry>, _>>()?;
         entries.sort_unstable_by_key(Entry::index);
-        let lost = self.lost(&self.files()?)?;
-        Ok(after_round(&Round { number, entries: &entries, lost: &lost }))
+        Ok(after_round(&Round { number, entries: &entries, lost }))
     }
 
     /// The names of the shard files, of the records of other results, and of the files beside them. That is one request to an

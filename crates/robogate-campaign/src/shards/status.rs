@@ -69,6 +69,7 @@ impl Shards {
         let files = self.files()?;
         self.check_conflicts(&files)?;
         let committed = self.committed(&files)?;
+        let lost = if after_round.is_some() { self.lost(&files)? } else { Vec::new() };
         let mut rounds: Vec<RoundStatus> = Vec::new();
         for round in ShardRound::all(self.plan()) {
             if self.is_over(round)? {
@@ -102,7 +103,7 @@ impl Shards {
                 outcomes,
             });
             if let (Some(decide), RoundState::Complete, ShardRound::Suite(number)) = (&mut after_round, state, round)
-                && self.decide(round, number, *decide)?.is_break()
+                && self.decide(round, number, &lost, *decide)?.is_break()
             {
                 break;
             }

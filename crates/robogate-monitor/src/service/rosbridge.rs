@@ -18,7 +18,7 @@ use crate::{Alarm, Happening, Level};
 
 /// Time until the next attempt to connect, and longest wait for a message before other work is looked at.
 const AGAIN: Duration = Duration::from_secs(1);
-/// Silence after which the server is asked for a sign of life, and after which the connection is opened again.
+/// Time without a message after which the server gets a ping, and time after which the connection is opened again.
 const ASK_AFTER: Duration = Duration::from_secs(10);
 const SILENT_AFTER: Duration = Duration::from_secs(30);
 /// Time for subscribers to find a new publisher. DDS delivers nothing to those that have not.
@@ -43,7 +43,7 @@ pub enum Received {
 pub trait Bridge: Send {
     /// Sends a message, or a ping.
     fn send(&mut self, text: Option<String>) -> Result<(), String>;
-    /// Waits for a message. `None` if there is none in this time.
+    /// Waits for a message. `None` if no message arrives in this time.
     fn receive(&mut self, within: Duration) -> Result<Option<Received>, String>;
 }
 

@@ -72,7 +72,7 @@ pub fn admit(judged: &Fingerprint, policy: &mut dyn Asked) -> Result<Admission, 
     };
     let largest = worst(&answers);
     if largest > tolerance {
-        // Answers of another size differ for that reason, whatever else would explain some of them.
+        // If the sizes of answers differ, that is the cause, and no other one is looked for.
         let sized = largest.is_finite();
         let causes = if sized { causes(judged, policy, largest)? } else { Vec::new() };
         let mut ignored = Vec::new();

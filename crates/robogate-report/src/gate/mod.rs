@@ -10,8 +10,7 @@ mod twins;
 mod verdict;
 
 use robogate_gate::{
-    Evaluation, Metric, Mode, NextBudget, Population, RequirementResult, Sampling, StageComparison, Status, UNLIMITED,
-    Verdict,
+    Evaluation, Metric, Mode, NextBudget, RequirementResult, Sampling, StageComparison, Status, UNLIMITED, Verdict,
 };
 
 pub use changes::{Change, required_success, what_to_change};
@@ -168,11 +167,7 @@ pub fn what_next(evaluation: &Evaluation) -> String {
     }
     let undecided = evaluation.results.iter().filter_map(|result| Some((result, result.next?)));
     let hardest = undecided.min_by(|a, b| a.1.at_observed.total_cmp(&b.1.at_observed));
-    let groups = match &evaluation.population {
-        Population::Imported { groups, .. } => groups.as_slice(),
-        Population::Suite { .. } | Population::Drawn { .. } => &[],
-    };
-    if let Some(of) = groups.first() {
+    if let Some(of) = evaluation.population.groups().first() {
         return format!(
             "More episodes need more values of {}: each counts as one observation, and fewer than 8 decide nothing.",
             of.by
