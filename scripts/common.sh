@@ -13,7 +13,7 @@ fi
 
 # The features of the tests, and all features, for lints and documentation.
 full=(--features robogate/full)
-every=(--features robogate/full,robogate/object-store)
+every=(--features robogate/full,robogate/object-store,robogate/print)
 
 failed=()
 # Runs a step and continues after a failure, so that one run reports all failures: step NAME COMMAND...

@@ -28,6 +28,8 @@ use robogate_gate::{Evaluation, ForceLimitResult, NominalRate, Twins};
 
 pub use document::{RequalificationPage, answer_label};
 pub use figures::{FigureFile, figure_files};
+#[cfg(feature = "print")]
+pub use figures::{PrintError, pdf, png};
 pub use gate::{
     Change, RequirementRow, TwinRow, evaluation_markdown, evaluation_markdown_with, evidence_html, feasible_part,
     fleet_drivers, fleet_headline, fleet_html, fleet_markdown, fleet_share, how_judged, junit, leaderboard_html,

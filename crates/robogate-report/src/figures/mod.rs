@@ -8,6 +8,8 @@ mod heatmap;
 mod marginal;
 mod models;
 mod modes;
+#[cfg(feature = "print")]
+mod print;
 mod rate;
 mod requirement;
 mod svg;
@@ -22,6 +24,8 @@ pub(crate) use failures::{failure_modes, mode_changes};
 pub(crate) use heatmap::{Boundary, drawable, heatmap};
 pub(crate) use marginal::marginal_effect;
 pub(crate) use models::{coefficients, reliability, roc};
+#[cfg(feature = "print")]
+pub use print::{PrintError, pdf, png};
 pub(crate) use rate::rate_scale;
 pub(crate) use requirement::requirement_bar;
 

@@ -13,10 +13,11 @@ use crate::place;
 use crate::terminal::{foreign, line, note};
 use robogate_session::open_source;
 
-/// Write a figure of the page of a run as SVG, and its data as CSV.
+/// Write a figure of the page of a run as SVG, PDF or PNG, and its data as CSV.
 ///
-/// Without a name, the command lists the figures. Without --svg and --csv, it writes both files with the name of the figure into the
+/// Without a name, the command lists the figures. Without an option, it writes SVG and CSV with the name of the figure into the
 /// current folder. The SVG has no scripts and needs no style sheet: LaTeX (with Inkscape), browsers and office programs read it.
+/// PDF and PNG use a font of the system.
 #[derive(Debug, Args)]
 pub(crate) struct FigureOf {
     /// Folder of a run, a dictionary (Parquet) or a published JSON dictionary
@@ -27,6 +28,12 @@ pub(crate) struct FigureOf {
     /// Write the figure to this file
     #[arg(long, value_name = "FILE", requires = "name", value_parser = place::local())]
     svg: Option<PathBuf>,
+    /// Write the figure to this file as a page of its size
+    #[arg(long, value_name = "FILE", requires = "name", value_parser = place::local())]
+    pdf: Option<PathBuf>,
+    /// Write the figure to this file, 2008 pixels wide
+    #[arg(long, value_name = "FILE", requires = "name", value_parser = place::local())]
+    png: Option<PathBuf>,
     /// Write the data of the figure to this file
     #[arg(long, value_name = "FILE", requires = "name", value_parser = place::local())]
     csv: Option<PathBuf>,
@@ -34,7 +41,12 @@ pub(crate) struct FigureOf {
 
 impl FigureOf {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
-        place::check_different(("--svg", self.svg.as_deref()), ("--csv", self.csv.as_deref()))?;
+        let named = [("--svg", &self.svg), ("--pdf", &self.pdf), ("--png", &self.png), ("--csv", &self.csv)];
+        for (i, (option, file)) in named.iter().enumerate() {
+            for (other, second) in named.iter().skip(i + 1) {
+                place::check_different((option, file.as_deref()), (other, second.as_deref()))?;
+            }
+        }
         let source = open_source(&self.dictionary)?;
         let figures = figure_files(&analyse(&source, &self.dictionary, &AnalysisOptions::default())?);
         let Some(name) = &self.name else {
@@ -46,19 +58,52 @@ impl FigureOf {
             let known: Vec<&str> = figures.iter().map(|figure| figure.name.as_str()).collect();
             return Err(anyhow!("{}: no such figure. Expected one of: {}", foreign(name), known.join(", "))).or_usage();
         };
-        let both = self.svg.is_none() && self.csv.is_none();
-        let beside = |ending: &str| both.then(|| PathBuf::from(format!("{name}.{ending}")));
-        for (file, text) in [(self.svg.clone().or(beside("svg")), svg), (self.csv.clone().or(beside("csv")), csv)] {
-            if let Some(file) = file {
-                write(&file, text)?;
+        if named.iter().all(|(_, file)| file.is_none()) {
+            write(Path::new(&format!("{name}.svg")), svg.as_bytes())?;
+            write(Path::new(&format!("{name}.csv")), csv.as_bytes())?;
+            return Ok(DONE);
+        }
+        for (option, file) in named {
+            let Some(file) = file else { continue };
+            match option {
+                "--pdf" => write(file, &print::pdf(svg)?)?,
+                "--png" => write(file, &print::png(svg)?)?,
+                "--svg" => write(file, svg.as_bytes())?,
+                _ => write(file, csv.as_bytes())?,
             }
         }
         Ok(DONE)
     }
 }
 
-fn write(file: &Path, text: &str) -> Result<(), Exit> {
-    std::fs::write(file, text).with_context(|| format!("cannot write {}", file.display())).or_unwritable()?;
+/// Figures as PDF and PNG, in builds that have them.
+mod print {
+    use super::{Exit, OrExit};
+
+    #[cfg(feature = "print")]
+    pub(super) fn pdf(svg: &str) -> Result<Vec<u8>, Exit> {
+        robogate_report::pdf(svg).or_usage()
+    }
+
+    #[cfg(feature = "print")]
+    pub(super) fn png(svg: &str) -> Result<Vec<u8>, Exit> {
+        robogate_report::png(svg).or_usage()
+    }
+
+    #[cfg(not(feature = "print"))]
+    pub(super) fn pdf(_: &str) -> Result<Vec<u8>, Exit> {
+        Err(anyhow::anyhow!(
+            "this build writes figures as SVG only\nHint: build with --features print, or use the Python package"
+        ))
+        .or_usage()
+    }
+
+    #[cfg(not(feature = "print"))]
+    pub(super) use pdf as png;
+}
+
+fn write(file: &Path, bytes: &[u8]) -> Result<(), Exit> {
+    std::fs::write(file, bytes).with_context(|| format!("cannot write {}", file.display())).or_unwritable()?;
     note(format_args!("written: {}", foreign(file.display())));
     Ok(())
 }

@@ -107,6 +107,12 @@ fn figures_are_files() {
         let data = fs::read_to_string(&csv).unwrap();
         assert!(data.lines().count() >= 2, "{name}: {data}");
     }
+    if !cfg!(feature = "print") {
+        let pdf = path(&dir, "f.pdf");
+        let words = ["SVG only", "Hint: build with --features print"];
+        assert_refused(&["figure", &file, "effects-success-rate", "--pdf", &pdf], &words);
+        assert!(!std::path::Path::new(&pdf).exists());
+    }
     assert_refused(&["figure", &file, "none"], &["no such figure", "Expected one of"]);
     assert_refused(&["figure", &file, "none", "--svg", &svg, "--csv", &svg], &["--svg and --csv are the same file"]);
 }
