@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use crate::claims::{Claims, claims};
 use crate::conditions::Conditions;
 use crate::danger::DangerZones;
-use crate::dependence::{ClusterReport, Dependence};
+use crate::dependence::ClusterReport;
 use crate::effects::Effects;
 use crate::failures::FailureModes;
 use crate::marginal::{MarginalEffect, marginal_effect};
@@ -171,7 +171,7 @@ impl Analysis {
         let dictionary = source.dictionary();
         let table = EpisodeTable::read(dictionary)?;
         let Counted { mut base, population, weighting } = Counted::of(&table, source.boundary());
-        base.dependence = Dependence::of(&table, &base, population, groups)?;
+        base.depend(&table, population, groups)?;
         for (first, second) in pairs {
             check_pair(&base, first, second)?;
         }

@@ -1,6 +1,7 @@
 //! Where the policy fails, as a table of conditions, and what the rows could have shown.
 
 use robogate_stats::Confidence;
+use robogate_stats::clusters::FEWEST;
 use robogate_stats::pocket::{EventRate, pocket};
 use robogate_stats::safe_box::Limits;
 use schemars::JsonSchema;
@@ -213,8 +214,10 @@ fn quantiles(column: &ParameterColumn) -> Vec<f64> {
 /// difference of 2 s (z + 0.84) / sqrt(n), with the standard deviation s of an outcome.
 fn power(base: &Sample, overall: Rate, effects: &Effects) -> Option<Power> {
     let rate = overall.rate?.clamp(0.02, 0.98);
-    let independent = overall.independent();
-    if effects.tested == 0 || independent < 1.0 {
+    // The rate of a suite is that of its own scenarios. The tests of effects count its scenarios as clusters all the same.
+    let independent = overall.independent().min(base.share() * base.len() as f64);
+    let few = base.clusters().is_some_and(|clusters| clusters.count() < FEWEST);
+    if effects.tested == 0 || independent < 1.0 || few {
         return None;
     }
     let level = Confidence::new(1.0 - LEVEL * SINGLE / effects.tested as f64).ok()?;

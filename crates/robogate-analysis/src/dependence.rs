@@ -15,6 +15,8 @@ use serde::{Deserialize, Serialize};
 use crate::table::{EpisodeTable, ParameterColumn, ParameterKind, Sample};
 use crate::{AnalysisError, Population};
 
+/// The name of the division by the scenarios of a suite.
+const CASE: &str = "case";
 /// The name of the division by equal settings.
 pub(crate) const EQUAL_SETTINGS: &str = "equal settings";
 
@@ -67,11 +69,12 @@ impl Dependence {
         for name in groups {
             let clusters = labelled(table, base, name).ok_or_else(|| AnalysisError::Groups {
                 name: name.clone(),
-                known: base.parameters.iter().map(|p| p.name.clone()).chain(["case".to_owned()]).collect(),
+                known: base.parameters.iter().map(|p| p.name.clone()).chain([CASE.to_owned()]).collect(),
             })?;
             found.push(Grouping { by: name.clone(), clusters });
         }
-        if groups.is_empty() && matches!(population, Population::AsImported | Population::Suite) {
+        let known_population = matches!(population, Population::AsImported | Population::Suite);
+        if groups.is_empty() && known_population && strata(table, base, population).is_none() {
             found.extend(known(table, base, population));
         }
         let mut serial_p = None;
@@ -93,8 +96,13 @@ impl Dependence {
         &self.groupings[0].clusters
     }
 
-    /// The division that explains most of a parameter's variance, and that share. The coarser one of two equal ones.
+    /// The division that explains most of a parameter's variance, and that share. The coarser one of two equal ones. A value that
+    /// the scenarios of a suite draw anew in each episode is independent of them: their division, and no share.
     pub(crate) fn grouping_of(&self, parameter: &ParameterColumn) -> (&Clusters, f64) {
+        let case = self.groupings.iter().find(|grouping| grouping.by == CASE).filter(|_| !self.new_clusters);
+        if let Some(case) = case.filter(|case| varies_within(&case.clusters, parameter)) {
+            return (&case.clusters, 0.0);
+        }
         let levels = match &parameter.kind {
             ParameterKind::Categorical { levels } => Some(levels.len()),
             ParameterKind::Continuous { .. } | ParameterKind::Integer { .. } => None,
@@ -152,12 +160,32 @@ pub(crate) fn too_few(clusters: usize) -> Option<String> {
 
 /// The clusters that a named column or the case of a suite gives. `None` if there is no such column.
 fn labelled(table: &EpisodeTable, base: &Sample, name: &str) -> Option<Clusters> {
-    if name == "case" {
+    if name == CASE {
         return table.cases.as_ref().map(|cases| Clusters::of_labels(base.rows.iter().map(|row| cases[*row as usize])));
     }
     let plain = |column: &ParameterColumn| column.name == name || (name == "seed" && column.name == SOURCE_SEED);
     let column = base.parameters.iter().chain(&base.identifiers).find(|column| plain(column))?;
     Some(by_value(column))
+}
+
+/// The scenarios of a suite that only say which parameters an episode draws, as those with one family of perturbations each do:
+/// whatever differs between them is drawn anew in each episode. They are no clusters, but the draws are comparable within them alone.
+pub(crate) fn strata(table: &EpisodeTable, base: &Sample, population: Population) -> Option<Clusters> {
+    let cases = labelled(table, base, CASE).filter(|cases| population == Population::Suite && cases.divides())?;
+    let differs = |parameter: &&ParameterColumn| parameter.values.windows(2).any(|pair| pair[0] != pair[1]);
+    let mut varied = base.parameters.iter().filter(differs).peekable();
+    varied.peek()?;
+    varied.all(|parameter| varies_within(&cases, parameter)).then_some(cases)
+}
+
+/// Whether a parameter has several values in one cluster.
+fn varies_within(clusters: &Clusters, parameter: &ParameterColumn) -> bool {
+    let mut first = vec![None; clusters.count()];
+    clusters
+        .of_row()
+        .iter()
+        .zip(&parameter.values)
+        .any(|(cluster, value)| *first[*cluster].get_or_insert(value) != value)
 }
 
 /// Rows with equal values of a column are one cluster.
@@ -168,8 +196,8 @@ fn by_value(column: &ParameterColumn) -> Clusters {
 /// Divisions that labels and settings identify.
 fn known(table: &EpisodeTable, base: &Sample, population: Population) -> Vec<Grouping> {
     let mut found = Vec::new();
-    if let Some(clusters) = labelled(table, base, "case") {
-        found.push(Grouping { by: "case".to_owned(), clusters });
+    if let Some(clusters) = labelled(table, base, CASE) {
+        found.push(Grouping { by: CASE.to_owned(), clusters });
     }
     for column in base.parameters.iter().filter(|column| groups_rows(&column.name)) {
         found.push(Grouping { by: column.name.clone(), clusters: by_value(column) });

@@ -6,7 +6,8 @@ use robogate_stats::clusters::Clusters;
 use robogate_stats::weighted::{WeightedRate, hajek};
 use robogate_stats::{Confidence, Trials};
 
-use crate::dependence::Dependence;
+use crate::dependence::{Dependence, strata};
+use crate::{AnalysisError, Population};
 
 /// The name of the column of cycle times.
 const TIME: &str = "cycle_time_s";
@@ -186,6 +187,7 @@ impl EpisodeTable {
             parameters: self.parameters.iter().map(|p| p.take(&rows)).collect(),
             identifiers: self.identifiers.iter().map(|p| p.take(&rows)).collect(),
             dependence: None,
+            strata: None,
             rows,
         }
     }
@@ -216,9 +218,23 @@ pub(crate) struct Sample {
     pub(crate) weights: Option<Vec<f64>>,
     /// The clusters of the rows. `None` if the rows are independent as far as known.
     pub(crate) dependence: Option<Dependence>,
+    /// The part of each row's campaign in which its values were drawn: values are compared within it. `None` if all were drawn alike.
+    pub(crate) strata: Option<Clusters>,
 }
 
 impl Sample {
+    /// Finds the rows that depend on each other. `groups` are columns that the user names.
+    pub(crate) fn depend(
+        &mut self,
+        table: &EpisodeTable,
+        population: Population,
+        groups: &[String],
+    ) -> Result<(), AnalysisError> {
+        self.dependence = Dependence::of(table, self, population, groups)?;
+        self.strata = strata(table, self, population).filter(|_| groups.is_empty());
+        Ok(())
+    }
+
     /// The cluster of each row, if rows depend on each other.
     pub(crate) fn clusters(&self) -> Option<&Clusters> {
         self.dependence.as_ref().map(Dependence::main)
@@ -291,6 +307,7 @@ impl Sample {
             identifiers: self.identifiers.iter().map(|column| column.take(&places)).collect(),
             weights: self.weights.as_ref().map(|of| places.iter().map(|at| of[*at as usize]).collect()),
             dependence: self.dependence.as_ref().map(|of| of.take(&places)),
+            strata: self.strata.as_ref().map(|of| of.take(places.iter().map(|at| *at as usize))),
         }
     }
 

@@ -4,7 +4,6 @@ use std::path::{Path, PathBuf};
 
 use robogate_dictionary::{CellPlace, Place, Provenance, RendererRecord};
 
-use crate::dependence::Dependence;
 use crate::replay::shell_word;
 use crate::table::{EpisodeTable, ParameterColumn, Sample};
 use crate::weighting::{Counted, Weighting};
@@ -30,7 +29,7 @@ impl<'a> Dataset<'a> {
     ) -> Result<Self, AnalysisError> {
         let table = EpisodeTable::read(source.dictionary())?;
         let Counted { mut base, population, weighting } = Counted::of(&table, source.boundary());
-        base.dependence = Dependence::of(&table, &base, population, groups)?;
+        base.depend(&table, population, groups)?;
         Ok(Self { name, source, path, table, base, population, weighting })
     }
 

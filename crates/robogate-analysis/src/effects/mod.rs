@@ -104,7 +104,7 @@ impl Effects {
         let (mut names, mut found) = (Vec::new(), Vec::new());
         // Enough replicates for the smallest p-value that Holm's first step can need.
         let replicates = (base.parameters.len() * 500).clamp(4_000, 20_000);
-        let modelled = base.weights.is_some() || base.len() <= MODELLED_ROWS;
+        let modelled = base.weights.is_some() || base.strata.is_some() || base.len() <= MODELLED_ROWS;
         for (at, parameter) in base.parameters.iter().enumerate() {
             let counted = base.is_plain() && !modelled;
             let Some(cells) = TestCells::of(base, parameter, if counted { SCAN_CELLS } else { TEST_CELLS }) else {
@@ -123,7 +123,8 @@ impl Effects {
                 None if counted => scan(&cells.trials, cells.order, replicates, seed),
                 None => {
                     let replicates = replicates.min((PERMUTED / base.len().max(1)).max(REPLICATES));
-                    cells.test(base, parameter, &expected::units(base, at), None, replicates, seed)
+                    let blocks = base.strata.as_ref().map(Clusters::of_row);
+                    cells.test(base, parameter, &expected::units(base, at), blocks, replicates, seed)
                 }
             };
             if let Some(tested) = tested {

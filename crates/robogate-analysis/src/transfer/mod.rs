@@ -34,7 +34,6 @@ pub use trials::{RealTrial, RealTrials};
 
 use self::corrected::CorrectedModel;
 use self::map::Places;
-use crate::dependence::Dependence;
 use crate::effects::Effects;
 use crate::labels::parameter_label;
 use crate::rate::ends;
@@ -389,7 +388,7 @@ impl Transfer {
         }
         let population = Counted::of(&simulation.table, None).population;
         let mut base = simulation.table.sample(false);
-        base.dependence = Dependence::of(&simulation.table, &base, population, &[])?;
+        base.depend(&simulation.table, population, &[])?;
         let effects = Effects::of(&base);
         let places = Places::of(simulation.space(), &base, &effects, predictor::training(&simulation.table).len());
         let others = map::others(&simulation.points, options.population.is_some());

@@ -103,6 +103,7 @@ pub(super) fn predict(
         identifiers: Vec::new(),
         weights: None,
         dependence: None,
+        strata: None,
     };
     let scores = flexible_scores(&train, &test, fitted)?;
     let probability = |eta: &f64| 1.0 / (1.0 + (-eta.clamp(-LARGEST_LOG_ODDS, LARGEST_LOG_ODDS)).exp());

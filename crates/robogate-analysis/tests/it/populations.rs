@@ -1,7 +1,10 @@
 //! Focused rows count by their sampling weights, and never as a plain sample of the operating space.
 
+use std::sync::Arc;
+
 use robogate_analysis::{Advice, Population};
-use robogate_core::Outcome;
+use robogate_core::{Assignment, FailureMode, Outcome, Value};
+use robogate_dictionary::Label;
 
 use crate::hold;
 use crate::synthetic::{analysed, entry, law, outcome, point, space, unit};
@@ -220,4 +223,38 @@ fn emphasis_beyond_the_volume_is_weighted() {
         assert_eq!(alone.rate.n, 1_000);
     }
     assert!(error.abs() < 0.012, "mean error {error}");
+}
+
+/// Scenarios of a suite that draw one parameter each, with the nominal value of the others: new draws of a scenario are no repeats
+/// of one. Heavy parts fail. All episodes with friction drawn fail often, whatever the value.
+#[test]
+fn draws_of_scenarios_are_compared_within_them() {
+    let space = space(&["box"]);
+    let of = |i: u64| {
+        let case = ["friction", "mass_kg", "obstacles"][(i % 3) as usize];
+        let nominal = |name: &str| match name {
+            "friction" => Some(Value::Number(0.6)),
+            "mass_kg" => Some(Value::Number(0.5)),
+            "obstacles" => Some(Value::Integer(0)),
+            _ => None,
+        };
+        let drawn = point(&space, i);
+        let value = |name: &str, value: &Value| nominal(name).filter(|_| name != case).unwrap_or_else(|| value.clone());
+        let requested: Assignment = drawn.iter().map(|(name, of)| (Arc::from(name), value(name, of))).collect();
+        let fails = match case {
+            "mass_kg" => requested.number("mass_kg").unwrap() > 1.2,
+            "friction" => unit(i, 98) < 0.5,
+            _ => unit(i, 98) < 0.03,
+        };
+        let failure = Outcome::Failure(FailureMode::constant("grip_loss"));
+        let mut entry = entry(i, requested, if fails { failure } else { Outcome::Success });
+        "suite".clone_into(&mut entry.stage);
+        entry.label = Label { case: Some(case.to_owned()), ..Label::default() };
+        entry
+    };
+    let analysis = analysed(&space, (0..300).map(of).collect());
+    assert_eq!(analysis.population, Population::Suite);
+    assert!(analysis.clusters.is_none(), "{:?}", analysis.clusters);
+    let named: Vec<&str> = analysis.effects.significant().map(|effect| effect.parameter.as_str()).collect();
+    assert_eq!(named, ["mass_kg"], "{:?}", analysis.effects.ranked);
 }
