@@ -6,7 +6,7 @@
 //! sample. Groups that cross each other (days and operators) are tested one after the other, and the least favourable result
 //! counts. With fewer than [`FEWEST`] groups nothing is decided.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use robogate_core::Value;
 use robogate_dictionary::results::{SOURCE_SEED, groups_rows, names_scenario, only_identifies};
@@ -18,7 +18,8 @@ use robogate_stats::serial::blocks_of_neighbours;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::{Ending, Trial};
+use crate::figure::figure;
+use crate::{Ending, Requirement, Trial};
 
 /// What the episodes of one group share, and the number of groups.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -103,6 +104,18 @@ fn neighbours(trials: &[Trial]) -> Option<Clusters> {
     let columns: Vec<Vec<f64>> = names.into_iter().filter(|name| !only_identifies(name)).filter_map(numbers).collect();
     let columns: Vec<&[f64]> = columns.iter().map(Vec::as_slice).collect();
     blocks_of_neighbours(&success, &columns, &columns).map(|(_, blocks)| blocks)
+}
+
+/// The mean of a requirement's figure over the groups of the first division. `None` for quantiles, counts and figures of time.
+pub(crate) fn mean_over_groups<'a>(requirement: &Requirement, trials: impl Iterator<Item = &'a Trial>) -> Option<f64> {
+    if !requirement.metric.is_rate() && !requirement.metric.is_mean() {
+        return None;
+    }
+    let mut groups: BTreeMap<usize, Vec<&Trial>> = BTreeMap::new();
+    trials.for_each(|trial| groups.entry(*trial.groups.first().unwrap_or(&0)).or_default().push(trial));
+    let of = |trials: &Vec<&Trial>| figure(requirement.metric, trials.iter().copied(), requirement.range()).2.observed;
+    let observed: Vec<f64> = groups.values().filter_map(of).collect();
+    (!observed.is_empty()).then(|| observed.iter().sum::<f64>() / observed.len() as f64)
 }
 
 /// Two bounds of the mean over new groups, from the smallest and the largest possible value of each episode.

@@ -14,6 +14,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::comparison::{Against, Comparison};
+use crate::dependence::mean_over_groups;
 use crate::figure::{Extremes, applies, figure};
 use crate::next_budget::NextBudget;
 use crate::remarks::{clipped_actions, copies, distinct_trajectories};
@@ -97,6 +98,10 @@ pub struct RequirementResult {
     pub invalid: u64,
     /// The observed figure.
     pub figure: Extremes,
+    /// The mean over the groups of dependent imported episodes, each of which counts once. The requirement is tested for it. `None`
+    /// without such groups, and for quantiles.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub over_groups: Option<f64>,
     /// One-sided bounds of the true figure, each at the confidence level of the requirements. They hold for any outcome
     /// of the invalid episodes. `None` in point mode and for quantiles.
     pub interval: Option<[f64; 2]>,
@@ -475,6 +480,7 @@ impl Question<'_> {
             return Err(GateError::NoSuchScope { id, scope: scope.to_string(), known: known(rounds.trials()) });
         }
         let all = all.filter(|trial| applies(requirement.metric, trial));
+        let over_groups = how.grouped.then(|| mean_over_groups(&requirement, all.clone())).flatten();
         let (valid, invalid, figure) = figure(requirement.metric, all, requirement.range());
         let mut result = RequirementResult {
             id,
@@ -484,6 +490,7 @@ impl Question<'_> {
             valid,
             invalid,
             figure,
+            over_groups,
             interval: None,
             p_met: None,
             p_violated: None,
@@ -528,6 +535,7 @@ impl Question<'_> {
             valid: real.map_or(0, RealEvidence::trials),
             invalid: 0,
             figure,
+            over_groups: None,
             interval: None,
             p_met: None,
             p_violated: None,

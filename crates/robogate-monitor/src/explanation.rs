@@ -1,7 +1,7 @@
 //! The texts of an alarm: the change, its start, the guarantee, and the likely causes.
 
 use robogate_stats::format::{count, fixed, number, percent};
-use robogate_stats::overdispersion::outliers;
+use robogate_stats::overdispersion::{Outlier, outliers};
 use robogate_stats::{Confidence, Trials, wilson};
 
 use crate::alarm::{Alarm, Happening, Level, Since};
@@ -91,7 +91,7 @@ pub(crate) fn raised(recipe: &Recipe, metric: Metric, level: Level, cycle: &Cycl
         .then(|| grown_mode(recipe, after))
         .flatten();
     let first = since.map_or(began, |since| since.cycles_95[0]);
-    let mut look_at = look_at(recipe, metric, settings, mode);
+    let mut look_at = look_at(recipe, metric, &cycle.robot, settings, mode);
     if matches!(metric, Metric::Outside | Metric::Risk) {
         look_at.splice(0..0, outside(recipe, first));
     }
@@ -161,12 +161,15 @@ fn what(recipe: &Recipe, metric: Metric, after: &[(u64, &Symbols, u8)], robot: &
         let events = if failures { trials.failures() } else { trials.successes() };
         rate(Trials::new(events, trials.n()).unwrap_or(Trials::NONE))
     };
-    let events = || rate(Trials::count(after.iter().map(|(_, _, code)| *code == 1)));
+    // These cycles begin where the change probably did, which is where events are frequent: no interval around their share is valid.
+    let share = |events: usize| format!("{events} ({})", percent(events as f64 / after.len().max(1) as f64));
+    let events = || share(after.iter().filter(|(_, _, code)| *code == 1).count());
     let n = after.len();
+    let chosen = "The last cycles were chosen because they fit a change best, so the lasting rate may be nearer to the baseline.";
     match metric {
         Metric::Success => {
             format!(
-                "Cycles fail at {} over the last {n}; the baseline is {}.",
+                "{} of the last {n} cycles failed; the baseline is {}. {chosen}",
                 events(),
                 before(baseline.success, true)
             )
@@ -174,7 +177,10 @@ fn what(recipe: &Recipe, metric: Metric, after: &[(u64, &Symbols, u8)], robot: &
         Metric::Event(_) => {
             let event = settings.event(metric).unwrap_or_default();
             let before = before(baseline.events.get(event).copied(), false);
-            format!("The event `{event}` happened in {} of the last {n} cycles; the baseline is {before}.", events())
+            format!(
+                "The event `{event}` happened in {} of the last {n} cycles; the baseline is {before}. {chosen}",
+                events()
+            )
         }
         Metric::CycleTime | Metric::CycleTimeSpread => {
             let mut now: Vec<f64> = after.iter().map(|(_, symbols, _)| f64::from(symbols.cycle_time_s)).collect();
@@ -196,13 +202,13 @@ fn what(recipe: &Recipe, metric: Metric, after: &[(u64, &Symbols, u8)], robot: &
         }
         Metric::FailureModes => match grown_mode(recipe, after) {
             Some(mode) => {
-                let now = Trials::count(after.iter().map(|(_, symbols, _)| symbols.code(metric) == Some(mode)));
+                let now = after.iter().filter(|(_, symbols, _)| symbols.code(metric) == Some(mode)).count();
                 let name = recipe.state().modes.name(mode);
                 let counts = baseline.failure_modes.clone().unwrap_or_default();
                 let then = Trials::new(counts.of(name), counts.total());
                 format!(
-                    "`{name}` is {} of the last {n} failures; the baseline is {}.",
-                    rate(now),
+                    "`{name}` is {} of the last {n} failures; the baseline is {}. {chosen}",
+                    share(now),
                     rate(then.unwrap_or(Trials::NONE))
                 )
             }
@@ -210,7 +216,7 @@ fn what(recipe: &Recipe, metric: Metric, after: &[(u64, &Symbols, u8)], robot: &
         },
         Metric::Robot => {
             let before = before(baseline.success, true);
-            format!("Robot {robot} fails at {} over its last {n} cycles; the baseline is {before}.", events())
+            format!("Robot {robot}: {} of its last {n} cycles failed; the baseline is {before}. {chosen}", events())
         }
         Metric::Outside => format!(
             "{} of the last {n} cycles lie outside the validated region; at most {} are accepted.",
@@ -271,13 +277,14 @@ fn outside(recipe: &Recipe, from: u64) -> Vec<String> {
 }
 
 /// Likely causes: first a robot that differs from its peers, then the usual causes of such a change.
-fn look_at(recipe: &Recipe, metric: Metric, settings: &Settings, mode: Option<u8>) -> Vec<String> {
+fn look_at(recipe: &Recipe, metric: Metric, robot: &str, settings: &Settings, mode: Option<u8>) -> Vec<String> {
     let mut all = Vec::new();
+    let (names, tallies): (Vec<&str>, Vec<Trials>) =
+        recipe.robots().filter_map(|(name, t)| Some((name, Trials::new(t.successes, t.cycles).ok()?))).unzip();
+    let worse: Vec<Outlier> =
+        outliers(&tallies, 1.0 - settings.baseline_confidence).into_iter().filter(|outlier| outlier.worse).collect();
     if matches!(metric, Metric::Success | Metric::FailureModes) {
-        let (names, tallies): (Vec<&str>, Vec<Trials>) =
-            recipe.robots().filter_map(|(name, t)| Some((name, Trials::new(t.successes, t.cycles).ok()?))).unzip();
-        let found = outliers(&tallies, 1.0 - settings.baseline_confidence);
-        all.extend(found.iter().filter(|o| o.worse).map(|outlier| {
+        all.extend(worse.iter().map(|outlier| {
             format!(
                 "robot {}: {} of {} cycles succeeded, significantly fewer than its peers",
                 names[outlier.index],
@@ -301,6 +308,9 @@ fn look_at(recipe: &Recipe, metric: Metric, settings: &Settings, mode: Option<u8
         Metric::CycleTime => "speed override, retries, joint friction, network or camera delays",
         Metric::CycleTimeSpread => "retries, intermittent delays, different parts under one recipe",
         Metric::FailureModes => "changes in the cell since then, even if the success rate is unchanged",
+        Metric::Robot if !worse.iter().any(|outlier| names[outlier.index] == robot) => {
+            "its peers do not do significantly better: first what all robots share (parts, lighting, software), then its gripper, calibration and load"
+        }
         Metric::Robot => {
             "this robot: its gripper, calibration and load; the other robots have the same parts and software"
         }

@@ -323,7 +323,11 @@ impl Recipe {
             _ => {
                 let share = self.state.learning.error_share(metric);
                 let inflation = self.inflation(metric).map_or(1.0, |found| found.ratio);
-                let factors = self.state.baseline.factors_at(metric, settings, share, inflation)?;
+                let factors = self.state.baseline.factors_at(metric, settings, share, inflation);
+                let factors = factors.map_err(|why| match self.state.baseline.factors_at(metric, settings, share, 1.0) {
+                    Ok(_) => "its cycles depend on each other so much that the baseline counts for too few to detect a change",
+                    Err(_) => why,
+                })?;
                 Ok(if inflation > 1.0 { factors.tempered(inflation) } else { factors })
             }
         }

@@ -3,6 +3,7 @@
 //! The arm is the chain of hinges from the base to the first body that branches into fingers, or to the end. Limits, servo
 //! gains and the home posture come from the model where it has them. A model that is not one arm is rejected.
 
+mod clearance;
 mod home;
 mod servo;
 
@@ -78,12 +79,13 @@ pub fn draft(model: &Path, name: &str) -> Result<Draft, Vec<Problem>> {
     let home_is_known = stated.is_some_and(|home| chain.as_ref().is_none_or(|chain| is_over_workspace(chain, home)));
     // A model may face another way, and its first joint may not turn far enough.
     let mut found = None;
+    let mut clearance = clearance::Clearance::of(&spec, &tree.joints);
     for yaw in if home_is_known { &[][..] } else { &BASE_YAWS } {
         if *yaw != 0.0 {
             settings.arm.base_yaw_rad = *yaw;
             chain = kinematics(&settings, folder);
         }
-        found = chain.as_ref().and_then(|chain| home_of(chain, stated));
+        found = chain.as_ref().and_then(|chain| home_of(chain, stated, clearance.as_mut()));
         if found.is_some() || chain.as_ref().is_none_or(turns_fully) {
             break;
         }

@@ -29,7 +29,7 @@ const GRID_M: f64 = 0.05;
 
 /// Two bodies are in contact if they penetrate each other deeper than this, in metres. Shapes of neighbouring links
 /// overlap by less.
-const DEEP_M: f64 = 1e-3;
+pub(crate) const DEEP_M: f64 = 1e-3;
 
 /// How long the arm holds its position before and after it moves, in seconds.
 const HOLD_S: f64 = 1.0;

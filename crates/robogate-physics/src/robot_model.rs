@@ -224,6 +224,11 @@ pub(crate) fn rejected(error: &MjEditError) -> Problem {
             format!("the mesh {file} has a format that MuJoCo does not read"),
             "convert it to STL or OBJ, for example with MeshLab or Blender, and name the new file in the model",
         ),
+        None if why.contains("Error opening file 'package:") => Problem::new(
+            why.replacen("package:/", "package://", 1),
+            "the files of a robot lie below the folder of its model. In a ROS package with `urdf` and `meshes` side by side, copy the \
+             URDF into the folder above them",
+        ),
         None => Problem::new(why, "this error is from MuJoCo: correct the model"),
     }
 }

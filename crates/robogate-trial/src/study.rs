@@ -39,6 +39,7 @@ pub enum Command {
         result: Outcome,
     },
     /// Declare the trial invalid.
+    #[serde(alias = "invalid")]
     Void {
         /// Its code.
         code: String,
@@ -314,6 +315,9 @@ impl Study {
     fn unfit(&self, command: &Command, code: &str) -> Problem {
         let Some(attempt) = self.attempts.iter().find(|attempt| attempt.code == code) else {
             let next = self.code();
+            if next == code {
+                return refused(format!("trial {code} has not been started"));
+            }
             return refused(format!("trial {code} is not the present one. The present trial is {next}"));
         };
         if attempt.result.is_some() && !matches!(command, Command::Correct { .. }) {

@@ -53,6 +53,7 @@ class Model:
         import numpy as np
 
         self._check_arguments(env)
+        self._check_actions(env)
         model, recurrent = self.model, hasattr(getattr(self.model, "policy", None), "lstm_actor")
         masks = next((masks for layer in layers(env) if callable(masks := getattr(layer, "action_masks", None))), None)
         limit = self._limit(env)
@@ -82,6 +83,23 @@ class Model:
         if spec is not None and other:
             query = "&".join(f"{key}={json.dumps(value)}" for key, value in other.items())
             raise ValueError(f"the model was trained in an environment with other arguments. Name it as gymnasium:{spec.id}?{query}")
+
+    def _check_actions(self, env: Any) -> None:
+        """Raise if the environment takes other actions than that of the training: the model's numbers would mean something else."""
+        import numpy as np
+
+        trained, found = getattr(self.model, "action_space", None), getattr(env, "action_space", None)
+        parts = ("shape", "n", "nvec", "start", "low", "high")
+        if trained is None or found is None or type(trained).__name__ != type(found).__name__:
+            same = trained is None or found is None
+        else:
+            both = [(getattr(trained, part, None), getattr(found, part, None)) for part in parts]
+            same = all((a is None) == (b is None) and (a is None or np.shape(a) == np.shape(b) and np.allclose(a, b)) for a, b in both)
+        if not same:
+            raise ValueError(
+                f"the model was trained with the actions {trained}, but the environment takes {found}. Hint: name the environment with the "
+                "wrapper of the training (for example gymnasium.wrappers.RescaleAction)"
+            )
 
     def _limit(self, env: Any) -> int:
         limits = (getattr(getattr(layer, "spec", None), "max_episode_steps", None) for layer in layers(env))

@@ -304,6 +304,7 @@ class StableBaselines(unittest.TestCase):
 
         class SAC:
             observation_space = gymnasium.spaces.Box(-1.0, 1.0, (2,))
+            action_space = gymnasium.spaces.Box(-1.0, 1.0, (2,))
 
             @classmethod
             def load(cls, file, device, custom_objects):
@@ -334,6 +335,18 @@ class StableBaselines(unittest.TestCase):
     def seen(self, name="model.zip", query=""):
         """What the model is given for the observation (1, 9)."""
         return policies.as_function(policies.load(f"sb3:{self.folder / name}{query}"))(np.array([1.0, 9.0], np.float32)).tolist()
+
+    def test_actions_are_those_of_the_training(self):
+        model = stable_baselines.load(self.model)
+        spaces = gymnasium.spaces
+        for same in (spaces.Box(-1.0, 1.0, (2,)), spaces.Box(-1.0, 1.0, (2,), np.float64), None):
+            self.assertTrue(callable(model.function(types.SimpleNamespace(action_space=same))))
+        for other in (spaces.Box(-2.0, 2.0, (2,)), spaces.Box(-1.0, 1.0, (3,)), spaces.Discrete(2), spaces.MultiBinary(2)):
+            with self.assertRaisesRegex(ValueError, "was trained with the actions"):
+                model.function(types.SimpleNamespace(action_space=other))
+        model.model.action_space = spaces.Discrete(3)
+        with self.assertRaisesRegex(ValueError, "was trained with the actions"):
+            model.function(types.SimpleNamespace(action_space=spaces.Discrete(2)))
 
     def test_what_training_needs_is_replaced(self):
         self.assertEqual(self.seen(), [1.0, 9.0])
@@ -376,6 +389,7 @@ class StableBaselines(unittest.TestCase):
 
     def test_other_arguments_of_the_environment_are_refused(self):
         loaded = stable_baselines.load(self.model)
+        loaded.model.action_space = gymnasium.make("Pendulum-v1").action_space
         trained = stable_baselines.Model(loaded.model, None, None, [], {"g": 1.5})
         self.assertIsNotNone(trained.function(gymnasium.make("Pendulum-v1", g=1.5, render_mode="rgb_array")))
         for env in (gymnasium.make("Pendulum-v1"), gymnasium.make("Pendulum-v1", g=2.0)):

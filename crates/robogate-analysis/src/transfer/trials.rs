@@ -5,7 +5,7 @@ use std::io::ErrorKind;
 use std::path::Path;
 
 use robogate_core::{Domain, Parameter, ParameterSpace, Value};
-use robogate_dictionary::results::groups_rows;
+use robogate_dictionary::results::{groups_rows, only_identifies};
 use robogate_dictionary::{hex, read_text};
 use robogate_stats::exact_strata::MOST_TRIALS;
 use sha2::{Digest, Sha256};
@@ -246,16 +246,16 @@ impl RealTrials {
         }
         let absent = |i: usize| trials.iter().all(|trial| trial.values[i].is_none());
         let lost: Vec<bool> = (0..space.len()).map(absent).collect();
-        let incomplete = |trial: &&RealTrial| trial.values.iter().zip(&lost).any(|(v, lost)| v.is_none() && !lost);
+        // The seeds and numbers of simulated episodes are no settings that a trial could have.
+        let setting = |i: &usize| !only_identifies(&space.parameters()[*i].name);
+        let incomplete =
+            |trial: &&RealTrial| (0..space.len()).filter(setting).any(|i| trial.values[i].is_none() && !lost[i]);
         Ok(Self {
             sha256,
             incomplete: trials.iter().filter(incomplete).count() as u64,
-            missing: space
-                .parameters()
-                .iter()
-                .zip(&lost)
-                .filter(|(_, lost)| **lost)
-                .map(|(p, _)| p.name.to_string())
+            missing: (0..space.len())
+                .filter(|i| lost[*i] && setting(i))
+                .map(|i| space.parameters()[i].name.to_string())
                 .collect(),
             trials,
             outside,

@@ -142,7 +142,7 @@ const SPELLINGS: [(Role, &[&str]); 5] = [
 ];
 
 /// Words that name what several episodes share, if nothing but a number or a prefix stands beside them.
-const SHARED: [&str; 24] = [
+const SHARED: [&str; 34] = [
     "scenario",
     "scene",
     "case",
@@ -159,6 +159,16 @@ const SHARED: [&str; 24] = [
     "operator",
     "rater",
     "annotator",
+    "evaluator",
+    "experimenter",
+    "inspector",
+    "labeler",
+    "labeller",
+    "technician",
+    "tester",
+    "person",
+    "participant",
+    "room",
     "robot",
     "arm",
     "unit",
@@ -170,8 +180,10 @@ const SHARED: [&str; 24] = [
 ];
 
 /// Words that may stand beside one of [`SHARED`].
-const NUMBERS: [&str; 15] =
-    ["id", "ids", "name", "number", "no", "nr", "num", "index", "idx", "ix", "serial", "key", "code", "test", "eval"];
+const NUMBERS: [&str; 16] = [
+    "id", "ids", "name", "number", "no", "nr", "num", "index", "idx", "ix", "serial", "key", "code", "test", "eval",
+    "time",
+];
 
 /// Whether the name says that episodes with the same value share something that can move their rate: a scenario, a day, an
 /// operator, a session, a robot.

@@ -366,6 +366,10 @@ impl<'a> Survey<'a> {
                 roles.push(SourceColumn { column, role: "seed".to_owned(), values: field.values });
                 continue;
             }
+            // A column that has the name of one of the dictionary, such as `weight`, keeps it behind `source_`.
+            let own = format!("source_{name}");
+            let taken = self.mapping.parameters.is_none() && is_taken(&field, name, task);
+            let name = if taken && !is_taken(&field, &own, task) { &own } else { name };
             let domain = if self.mapping.parameters.is_some() && ![SOURCE_SEED, SOURCE_EPISODE].contains(&name) {
                 Ok(self.required(&field, name)?)
             } else {
@@ -521,7 +525,16 @@ impl<'a> Survey<'a> {
 /// The domain of a column that the mapping does not mention, or the reason why it is ignored.
 fn optional(field: &Field, name: &str, task: &TaskSpec) -> Result<Domain, String> {
     let domain = field.domain_as(name)?;
-    let parameter = Parameter { name: name.into(), domain: domain.clone() };
-    let taken = ParameterSpace::new("one", vec![parameter]).is_ok_and(|space| Columns::of(task, &space).is_err());
-    if taken { Err("another column of the dictionary has its name".to_owned()) } else { Ok(domain) }
+    if is_taken(field, name, task) {
+        Err("another column of the dictionary has its name".to_owned())
+    } else {
+        Ok(domain)
+    }
+}
+
+/// Whether the dictionary has another column of this name.
+fn is_taken(field: &Field, name: &str, task: &TaskSpec) -> bool {
+    let Ok(domain) = field.domain_as(name) else { return false };
+    let parameter = Parameter { name: name.into(), domain };
+    ParameterSpace::new("one", vec![parameter]).is_ok_and(|space| Columns::of(task, &space).is_err())
 }

@@ -372,7 +372,7 @@ fn by_operator(stream: &mut Stream, rates: &[f64]) -> Record {
         for _ in 0..50 {
             let ending = if stream.uniform() < *rate { Ending::Success } else { Ending::Failure(None) };
             let mut episode = trial(record.trials.len() as u64, ending);
-            episode.requested.set("technician", Value::Integer(operator));
+            episode.requested.set("tote", Value::Integer(operator));
             episode.time_s = Some(if stream.uniform() < *rate { 4.0 } else { 8.0 });
             record.trials.push(episode);
         }
@@ -389,7 +389,7 @@ fn operators_are_the_observations() {
         let of = |groups: &str| {
             requirements(&format!("name = \"s\"\nmode = \"confidence\"\n{groups}[[requirement]]\n{metric}\n"))
         };
-        let (by_row, by_group) = (of(""), of("groups = [\"technician\"]\n"));
+        let (by_row, by_group) = (of(""), of("groups = [\"tote\"]\n"));
         let (mut rows, mut groups) = (0, 0);
         for _ in 0..200 {
             // Three of four operators always succeed, the others with 0.2.
@@ -403,10 +403,21 @@ fn operators_are_the_observations() {
         assert!(groups <= 20, "each end errs in at most 5 %: {groups} of 200");
         assert!(rows >= 40 || metric.contains("cycle"), "{rows}");
     }
-    let gate = requirements(&SUCCESS.replace("mode", "groups = [\"technician\"]\nmode"));
+    let gate = requirements(&SUCCESS.replace("mode", "groups = [\"tote\"]\nmode"));
     let passed = judge(&gate, &by_operator(stream, &[1.0; 12]), Sampling::Fixed);
     assert_eq!(passed.verdict, Verdict::Pass, "12 of 12 operators, limit 0.6");
-    assert!(passed.estimand.contains("12 values of technician"), "{}", passed.estimand);
+    assert!(passed.estimand.contains("12 values of tote"), "{}", passed.estimand);
+    // One operator with many failures counts once: the figure that is judged is the mean over operators.
+    let mut uneven = by_operator(stream, &[1.0; 20]);
+    for _ in 0..2_000 {
+        let mut episode = trial(uneven.trials.len() as u64, Ending::Failure(None));
+        episode.requested.set("tote", Value::Integer(0));
+        uneven.trials.push(episode);
+    }
+    let found = judge(&gate, &uneven, Sampling::Fixed).results[0].clone();
+    assert_eq!(found.figure.observed, Some(1.0 / 3.0));
+    let over_groups = found.over_groups.unwrap();
+    assert!((over_groups - (19.0 + 50.0 / 2_050.0) / 20.0).abs() < 1e-12, "{over_groups}");
     let few = judge(&gate, &by_operator(stream, &[1.0; 7]), Sampling::Fixed);
     assert_eq!(few.verdict, Verdict::Inconclusive, "fewer than 8 operators decide nothing");
     let unknown = requirements(&SUCCESS.replace("mode", "groups = [\"day\"]\nmode"));

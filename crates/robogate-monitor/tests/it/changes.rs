@@ -28,7 +28,7 @@ fn known() -> Settings {
 fn each_change_raises_its_own_alarm() {
     let normal = Cell::NORMAL;
     for (metric, after, what) in [
-        ("success", Cell { success: 0.8, ..normal }, "Cycles fail at"),
+        ("success", Cell { success: 0.8, ..normal }, "cycles failed (2"),
         ("event:drop", Cell { drop: 0.15, ..normal }, "The event `drop` happened in"),
         ("event:collision", Cell { collision: 0.12, ..normal }, "The event `collision` happened in"),
         ("cycle_time", Cell { cycle_time: (4.4, 0.4), ..normal }, "became slower: median 4."),
@@ -173,12 +173,59 @@ fn worn_robot_is_named() {
     let critical = |metric| found.iter().find(|a| a.metric == metric && a.level == Level::Critical);
     let named = critical("robot").unwrap();
     assert_eq!(named.robot, "cell-3");
-    assert!(named.what.starts_with("Robot cell-3 fails at "), "{}", named.what);
+    assert!(named.what.starts_with("Robot cell-3: "), "{}", named.what);
     let since = named.since.unwrap();
     assert!(since.cycles_95[0] <= 2_004 && 2_004 <= since.cycles_95[1], "{since:?}");
     assert!(critical("success").is_none_or(|fleet| fleet.cycle > named.cycle));
     assert!(found.iter().filter(|a| a.metric == "robot").all(|a| a.robot == "cell-3"), "{found:#?}");
     assert_eq!(monitor.recipe("bracket").unwrap().level(), Some(Level::Critical));
+}
+
+/// Where all robots do worse, no robot is blamed for itself.
+#[test]
+fn robots_that_change_alike_share_their_causes() {
+    let mut monitor = Monitor::new(known()).unwrap();
+    let mut stream = Seed::campaign(10).stream("alike");
+    let mut cycle = cycle();
+    let mut found: Vec<Alarm> = Vec::new();
+    for i in 0..8_000 {
+        let success = if i >= 2_000 { 0.85 } else { 0.95 };
+        Cell { success, ..Cell::NORMAL }.draw(&mut stream, &mut cycle);
+        cycle.robot = format!("cell-{}", i % 4);
+        monitor.observe(&cycle, &mut |alarm| found.push(alarm)).unwrap();
+    }
+    let of_robots: Vec<&Alarm> =
+        found.iter().filter(|a| a.metric == "robot" && a.happening == Happening::Raised).collect();
+    assert!(!of_robots.is_empty());
+    assert!(
+        of_robots.iter().all(|a| a.look_at.iter().any(|cause| cause.contains("what all robots share"))),
+        "{of_robots:#?}"
+    );
+}
+
+/// A lasting shift and wear of the cycle time raise an alarm. They are not taken for dependence of the cycles, also where the baseline
+/// was learnt.
+#[test]
+fn lasting_changes_of_the_cycle_time_are_no_dependence() {
+    let normal = |stream: &mut robogate_core::Stream| {
+        (-2.0 * (1.0 - stream.uniform()).ln()).sqrt() * (std::f64::consts::TAU * stream.uniform()).cos()
+    };
+    let changes: [fn(f64) -> f64; 4] = [|_| 1.03, |_| 1.05, |_| 1.07, |n| 1.0 + 0.2 * (n / 5_000.0).min(1.0)];
+    for (which, change) in changes.into_iter().enumerate() {
+        for seed in 0..8 {
+            let mut monitor = Monitor::new(Settings::default()).unwrap();
+            let mut stream = Seed::campaign(11).episode(seed).stream("lasting");
+            let mut cycle = cycle();
+            let mut raised = false;
+            for i in 0..12_000 {
+                let factor = if i < 4_000 { 1.0 } else { change(f64::from(i - 4_000)) };
+                Cell::NORMAL.draw(&mut stream, &mut cycle);
+                cycle.cycle_time_s = Some(4.0 * (0.1 * normal(&mut stream)).exp() * factor);
+                monitor.observe(&cycle, &mut |a| raised |= i >= 4_000 && a.metric == "cycle_time").unwrap();
+            }
+            assert!(raised, "change {which}, stream {seed}: no alarm");
+        }
+    }
 }
 
 #[test]

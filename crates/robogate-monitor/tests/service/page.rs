@@ -29,7 +29,7 @@ fn browser_shows_the_page() {
         "part-0",
         "failure rate",
         "critical",
-        "Cycles fail at",
+        "cycles failed (",
         "4 robots: their success rates differ",
         "Since cycle",
         "&lt;img src=x",

@@ -3,6 +3,7 @@
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use robogate_core::Seed;
 
+use super::clearance::Clearance;
 use super::{HOME_MARGIN, SHOULDER};
 use crate::{Chain, RobotSettings};
 
@@ -21,16 +22,26 @@ const FULL_REACH: f64 = 0.75;
 /// At home the tool may point this far off straight down, in radians.
 const HOME_TILT: f64 = 0.3;
 
-/// A home posture over the workspace. Short arms wait nearer to the base.
-pub(super) fn home_of(chain: &Chain, stated: Option<&[f64]>) -> Option<Vec<f64>> {
+/// A home posture over the workspace. Short arms wait nearer to the base. A posture that touches nothing comes first.
+pub(super) fn home_of(chain: &Chain, stated: Option<&[f64]>, clearance: Option<&mut Clearance>) -> Option<Vec<f64>> {
+    let free = clearance.and_then(|clearance| home_where(chain, stated, &mut |home| clearance.is_free(home)));
+    free.or_else(|| home_where(chain, stated, &mut |_| true))
+}
+
+/// The first home posture that is accepted.
+fn home_where(chain: &Chain, stated: Option<&[f64]>, accepted: &mut dyn FnMut(&[f64]) -> bool) -> Option<Vec<f64>> {
     let near = (crate::inspect::reach(chain)[0] / FULL_REACH).min(1.0);
-    let at = |scale: f64, [far, high]: [f64; 2]| {
+    let mut at = |scale: f64, [far, high]: [f64; 2]| {
         let [x, y, z] = HOME_TOOL.map(|x| scale * x);
         let tool = [far * x, y, high * z];
-        stated.and_then(|home| turned_home(chain, home, tool)).or_else(|| sought_home(chain, tool))
+        let turned = stated.and_then(|home| turned_home(chain, home, tool)).filter(|home| accepted(home));
+        turned.or_else(|| sought_home(chain, tool, accepted))
     };
-    let nearer = || NEARER_HOMES.into_iter().find_map(|share| at(near, share));
-    at(1.0, [1.0; 2]).or_else(|| (near < 1.0).then(nearer).flatten())
+    let full = at(1.0, [1.0; 2]);
+    if full.is_some() || near >= 1.0 {
+        return full;
+    }
+    NEARER_HOMES.into_iter().find_map(|share| at(near, share))
 }
 
 /// Whether the first joint turns by a full rotation.
@@ -102,7 +113,7 @@ fn lowest_m(chain: &Chain, positions: &[f64]) -> f64 {
 }
 
 /// A posture with the tool pointing down over the workspace, the elbow up, away from the ends of the ranges.
-fn sought_home(chain: &Chain, tool: [f64; 3]) -> Option<Vec<f64>> {
+fn sought_home(chain: &Chain, tool: [f64; 3], accepted: &mut dyn FnMut(&[f64]) -> bool) -> Option<Vec<f64>> {
     let mut stream = Seed::campaign(0).stream("home posture");
     let goal = Vector3::from(tool);
     let mut best: Vec<(f64, Vec<f64>)> = Vec::new();
@@ -121,6 +132,6 @@ fn sought_home(chain: &Chain, tool: [f64; 3]) -> Option<Vec<f64>> {
     }
     best.into_iter().find_map(|(_, q)| {
         let home = chain.reach(&waiting(&chain.tcp_at(&q), tool), &q).ok()?;
-        is_inside(chain, &home).then_some(home)
+        (is_inside(chain, &home) && accepted(&home)).then_some(home)
     })
 }

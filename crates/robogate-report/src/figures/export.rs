@@ -11,7 +11,7 @@ use crate::html::STYLE;
 /// A figure of a page.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct FigureFile {
-    /// Its name: the section, and the title in small letters.
+    /// Its name: the section, and the title in small letters and without numbers.
     pub name: String,
     /// Its title.
     pub title: String,
@@ -29,7 +29,9 @@ pub fn figure_files(analysis: &Analysis) -> Vec<FigureFile> {
         for figure in figures(&section.blocks) {
             let plain = |c: char| if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { '-' };
             let words: String = figure.title.chars().map(plain).collect();
-            let words: Vec<&str> = words.split('-').filter(|word| !word.is_empty()).collect();
+            // A number is a count of this run. Scripts name a figure of any run.
+            let names = |word: &&str| !word.is_empty() && !word.chars().all(|c| c.is_ascii_digit());
+            let words: Vec<&str> = words.split('-').filter(names).collect();
             let base = format!("{}-{}", section.id, words.join("-")).trim_end_matches('-').to_owned();
             let taken = |name: &str| files.iter().any(|file| file.name == name);
             let more = (2..).map(|i| format!("{base}-{i}")).find(|name| !taken(name)).filter(|_| taken(&base));

@@ -100,7 +100,7 @@ impl RequirementRow {
             (None, None) => String::new(),
         };
         let requirement = format!("{}{scope} {} {}", metric.title(), result.bound.sense, text(result.bound.limit));
-        let observed = result.figure.observed.map_or_else(|| "-".to_owned(), text);
+        let observed = result.over_groups.or(result.figure.observed).map_or_else(|| "-".to_owned(), text);
         let interval = match result.interval {
             Some([low, high]) => {
                 let low = text(low);
@@ -110,6 +110,9 @@ impl RequirementRow {
             None => String::new(),
         };
         let mut notes = Vec::new();
+        if let (Some(_), Some(all)) = (result.over_groups, result.figure.observed) {
+            notes.push(format!("each group counts once; over all episodes the figure is {}", text(all)));
+        }
         match result.status {
             Status::NoEvidence => notes.push("no episode gives evidence".to_owned()),
             Status::Undecided => notes.extend(result.next.as_ref().map(chance)),
@@ -238,6 +241,9 @@ fn test_used(evaluation: &Evaluation) -> String {
     let confidence = evaluation.requirements.confidence;
     let (percent, error) = (percent(confidence), percent(1.0 - confidence));
     match (evaluation.requirements.mode, evaluation.sampling) {
+        (Mode::Confidence, _) if !evaluation.population.groups().is_empty() => format!(
+            "Each requirement is tested at {percent} confidence for the mean over new groups, each of which counts once, by betting on the means of these groups. It assumes that they are a random sample. A pass states that all requirements hold, a fail that at least one does not; each is wrong with a probability of at most {error}."
+        ),
         (Mode::Point, _) => "Point comparison: each observed figure is compared with its limit, without an error probability (as in the paper).".to_owned(),
         (Mode::Confidence, Sampling::Fixed) => format!(
             "Each requirement is tested at {percent} confidence by an exact test, with a number of episodes that was fixed in advance. A pass states that all requirements hold, a fail that at least one does not; each is wrong with a probability of at most {error}."

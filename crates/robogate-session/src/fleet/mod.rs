@@ -125,7 +125,9 @@ pub fn unit_space(subject: &Subject, wanted: Option<&str>, suite: Option<&Suite>
     match (wanted, subject.own_unit_space()) {
         (Some(name), _) => named_space(name).or_request(),
         (None, Some(own)) => {
-            let space = named_space(own).or_request()?;
+            // The robot may have fewer joints and no camera.
+            let lacks = |name: &str| subject.task().parameter(name).is_none();
+            let space = without(&named_space(own).or_request()?, lacks).or_request()?;
             match suite {
                 Some(suite) => without_varied(&space, suite).or_request(),
                 None => Ok(space),

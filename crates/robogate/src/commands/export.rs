@@ -102,6 +102,12 @@ impl Export {
     /// Writes the scene of an episode.
     #[cfg(feature = "mujoco")]
     fn scene(&self, index: u64) -> Result<u8, Exit> {
+        if self.out.as_os_str() == "-" {
+            return Err(anyhow::anyhow!(
+                "a scene has several files and cannot be written to standard output\nHint: name a folder"
+            ))
+            .or_usage();
+        }
         require_absent(&self.out)?;
         let settings = robogate_campaign::settings(&self.dictionary).or_usage()?;
         let opening = EnvironmentChoice::default().reopening(self.trust.choice());

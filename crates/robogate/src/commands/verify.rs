@@ -196,6 +196,10 @@ fn trust(verified: &Verified) -> String {
             "Trust the verdict {verdict} as far as you trust its signer, because it may be the best of several attempts: the run was \
              not registered."
         ),
+        Signed::ByTrusted { .. } if verified.registration.as_ref().is_some_and(|of| of.number > 1) => format!(
+            "Trust the verdict {verdict} as far as you trust its signer, because earlier registrations of the key may be attempts at the \
+             same question: ask for their evidence."
+        ),
         Signed::ByTrusted { .. } => format!(
             "Trust the verdict {verdict}, because the key that you gave signed it, the run was registered before its first episode, and \
              the verdict follows from the rows."

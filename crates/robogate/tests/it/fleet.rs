@@ -161,6 +161,14 @@ fn default_units_fit_default_suite() {
         let fleet = format!("fleet --units 20 --robot {} --out taken", robot.as_str().unwrap());
         verb(at, &fleet, 2, &[left_out, "is not a fleet"]);
     }
+    // A robot of the user with six joints and a gripper has no seventh one.
+    let examples = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/examples/arm");
+    fs::create_dir(at.join("own")).unwrap();
+    for file in fs::read_dir(examples).unwrap().map(Result::unwrap).filter(|file| file.path().is_file()) {
+        fs::copy(file.path(), at.join("own").join(file.file_name())).unwrap();
+    }
+    verb(at, "init own/arm.urdf --no-episode", 0, &[]);
+    verb(at, "fleet --units 20 --robot own --out taken", 2, &["is not a fleet"]);
     // A space that the user chose is not changed.
     verb(at, "fleet --unit-space franka-units --out taken", 2, &["`camera_roll_rad` varies", "Hint: leave"]);
 }

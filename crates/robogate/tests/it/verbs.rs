@@ -154,6 +154,27 @@ fn compare_writes_every_format() {
     assert_eq!(document["reach"][0]["reach_m"], Value::Null);
 }
 
+/// A rounded number that two files have in common by chance makes no pair: all other rows would be left out.
+#[test]
+fn chance_coincidences_are_no_pairs() {
+    let dir = TempDir::new().unwrap();
+    let import = |name: &str, from: u32, failures: u32| {
+        let rows: String =
+            (0..100).map(|i| format!("{:.4},{}\n", f64::from(from + 7 * i) / 1e4, i >= failures)).collect();
+        let (csv, out) = (path(&dir, &format!("{name}.csv")), path(&dir, &format!("{name}.parquet")));
+        fs::write(&csv, format!("friction,success\n{rows}")).unwrap();
+        assert_done(&robogate(&["import", &csv, &out]));
+        out
+    };
+    // The last value of the first file is the first of the second one.
+    let (one, two) = (import("one", 0, 5), import("two", 693, 60));
+    let compared = stdout(&robogate(&["compare", &one, &two]));
+    assert!(compared.contains("55.0 points") && !compared.contains("not significant"), "{compared}");
+    let paired = robogate(&["compare", "--paired", &one, &two]);
+    assert_eq!(paired.status.code(), Some(2), "{}", stderr(&paired));
+    assert!(stderr(&paired).contains("only 1 of 100 rows have the same"), "{}", stderr(&paired));
+}
+
 #[test]
 fn compare_rejects_invalid_arguments() {
     let dir = TempDir::new().unwrap();

@@ -71,8 +71,10 @@ impl<'a> PairedRows<'a> {
         let there: BTreeMap<&[String], usize> = of[1].iter().map(Vec::as_slice).zip(two.rows.iter().copied()).collect();
         let pair = |(key, row): (&Vec<String>, &usize)| Some((*row, *there.get(key.as_slice())?));
         let rows: Vec<(usize, usize)> = of[0].iter().zip(&one.rows).filter_map(pair).collect();
-        if rows.is_empty() {
-            return Err(format!("no row has the same {} in both", by.join(", ")));
+        let fewest = one.rows.len().min(two.rows.len());
+        if 2 * rows.len() < fewest {
+            // Two rounded numbers can be equal by chance, and all other rows would be left out.
+            return Err(format!("only {} of {fewest} rows have the same {} in both", rows.len(), by.join(", ")));
         }
         let unpaired = (one.rows.len() + two.rows.len() - 2 * rows.len()) as u64;
         Ok(Self { first, second, rows, by, unpaired })

@@ -47,7 +47,11 @@ pub(crate) fn comparison_document(of: &Comparison, watch: Option<&Watch>) -> Doc
             "{} datasets, {} episodes \u{b7} compared {}",
             of.datasets.len(),
             count(of.datasets.iter().map(|d| d.subject.episodes).sum()),
-            if of.paired.is_empty() { "as independent runs" } else { "scenario by scenario" }
+            match of.differences.iter().filter(|difference| difference.valid_pairs.is_some()).count() {
+                0 => "as independent runs",
+                n if n == of.differences.len() => "scenario by scenario",
+                _ => "scenario by scenario where both ran the same",
+            }
         ),
         figure: largest.as_ref().map_or_else(|| "\u{2013}".to_owned(), Largest::figure),
         figure_label: match &largest {

@@ -7,6 +7,7 @@ use anyhow::Context;
 use clap::Args;
 use robogate_analysis::{Analysis, AnalysisOptions, Finding, Population, RiskModel, Source};
 use robogate_core::{Domain, Parameter};
+use robogate_dictionary::results::only_identifies;
 use robogate_dictionary::{Column, Dictionary, DictionaryError};
 use robogate_gate::{Asked, Metric, RealEvidence, Requirements};
 use robogate_monitor::domain::{self, Predictor, PredictorColumn, Risk, RiskTerm, Validated};
@@ -247,7 +248,8 @@ fn risk(model: &RiskModel) -> Risk {
 fn envelope(dictionary: &Dictionary, of_space: bool) -> Result<BTreeMap<String, Validated>, DictionaryError> {
     let valid = valid(dictionary)?;
     let mut envelope = BTreeMap::new();
-    for parameter in dictionary.provenance().space.parameters() {
+    let settings = dictionary.provenance().space.parameters().iter().filter(|p| !only_identifies(&p.name));
+    for parameter in settings {
         let found = match dictionary.column(&parameter.name)? {
             Column::Categories { words, codes } => {
                 let mut seen: Vec<u32> = kept(codes, &valid).collect();

@@ -277,8 +277,9 @@ impl Shown<'_> {
             let name = foreign(name);
             match mode.is_hidden() {
                 Some(true) => wrapped(&format!(
-                    "{name}: cannot be seen in advance. {} s before the event its scores do not differ significantly from those of successes of \
-                     the same age.",
+                    "{name}: its {} do not show that it can be seen in advance. {} s before the event their scores do not differ \
+                     significantly from those of successes of the same age.",
+                    counted(mode.failures as u64, "failure"),
                     number(EARLY_S)
                 )),
                 None if mode.failures < FEWEST => {
