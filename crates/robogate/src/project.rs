@@ -1,4 +1,4 @@
-//! The project file: settings of `run`, `gate`, `fleet` and `policy check` that need not be repeated on every command line.
+//! The project file: settings of `run`, `gate`, `fleet`, `demos`, `serve` and `policy check` that need not be repeated on every command line.
 //!
 //! Its keys are the options of these verbs. A key at the top applies to every verb that has the option, and one in a table such as
 //! `[gate]` to this verb. What the command line says comes first. Other verbs do not read the file: it could name a program, and a
@@ -19,7 +19,10 @@ use crate::commands::matrix::CHILD;
 pub(crate) const FILE: &str = "robogate.toml";
 
 /// The verbs that read it: those that start the environment and the policy that the user chooses.
-pub(crate) const VERBS: [&str; 4] = ["run", "gate", "fleet", "policy check"];
+pub(crate) const VERBS: [&str; 6] = ["run", "gate", "fleet", "demos", "serve", "policy check"];
+
+/// Options that say how an environment is started. They are left out with it.
+const OF_ENV: [&str; 2] = ["python", "map"];
 
 /// One setting of the file for a verb.
 #[derive(Debug, Clone, PartialEq)]
@@ -139,6 +142,9 @@ pub(crate) fn completed(command: &Command, line: Vec<OsString>) -> anyhow::Resul
             other.get_id() == argument.get_id() || contradicts(argument, other) || contradicts(other, argument)
         })
     });
+    if table.contains_key("env") && !settings.iter().any(|setting| setting.option == "env") && !asks("env") {
+        settings.retain(|setting| !OF_ENV.contains(&setting.option.as_str()));
+    }
     let added = settings.iter().flat_map(Setting::arguments).map(OsString::from);
     Ok((before.iter().cloned().chain(added).chain(after.iter().cloned()).collect(), settings))
 }

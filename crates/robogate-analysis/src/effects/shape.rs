@@ -75,11 +75,20 @@ pub(super) fn shape(base: &Sample, parameter: &ParameterColumn, cells: &[Trials]
     let edges = super::edges(parameter, (base.len() / ROWS_PER_CELL).clamp(8, CELLS))?;
     let fine = super::independent_cells(base, edges.bins(), |row| edges.bin(parameter.values[row]));
     let Segments { shape, high, low } = segments(&fine, edges.as_slice())?;
+    // A window of cells may end beside the range: half a step beyond the last integer.
+    let limits = match parameter.kind {
+        ParameterKind::Integer { low, high, .. } => [low as f64, high as f64],
+        _ => [f64::NEG_INFINITY, f64::INFINITY],
+    };
+    let step = |step: Step| RateStep {
+        at: step.at,
+        interval_95: [step.low, step.high].map(|end| end.clamp(limits[0], limits[1])),
+    };
     let (kind, steps) = match shape {
-        Shape::Rising(step) => (ShapeKind::Rising, vec![step.into()]),
-        Shape::Falling(step) => (ShapeKind::Falling, vec![step.into()]),
-        Shape::Band(from, to) => (ShapeKind::Band, vec![from.into(), to.into()]),
-        Shape::Gap(from, to) => (ShapeKind::Gap, vec![from.into(), to.into()]),
+        Shape::Rising(at) => (ShapeKind::Rising, vec![step(at)]),
+        Shape::Falling(at) => (ShapeKind::Falling, vec![step(at)]),
+        Shape::Band(from, to) => (ShapeKind::Band, vec![step(from), step(to)]),
+        Shape::Gap(from, to) => (ShapeKind::Gap, vec![step(from), step(to)]),
     };
     if base.is_plain() {
         return Some(EffectShape { kind, steps, low_levels: Vec::new(), high: Rate::of(high), low: Rate::of(low) });

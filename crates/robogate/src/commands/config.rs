@@ -9,10 +9,10 @@ use crate::exit::{DONE, Exit, OrExit};
 use crate::project::{self, FILE, VERBS};
 use crate::terminal::{bold, dim, foreign, line, note};
 
-/// Show the settings of `run`, `gate`, `fleet` and `policy check` in a folder: those of its project file `robogate.toml`, and the defaults.
+/// Show the settings of `run`, `gate`, `fleet`, `demos`, `serve` and `policy check` in a folder: those of its project file `robogate.toml`, and the defaults.
 ///
 /// The keys of the file are the options of these verbs without dashes. A key at the top applies to all of them that have the option,
-/// and one in a table `[run]`, `[gate]` or `[fleet]` to that verb. An option on the command line comes first. Other verbs do not
+/// and one in a table `[run]`, `[gate]`, `[fleet]`, `[demos]` or `[serve]` to that verb. An option on the command line comes first. Other verbs do not
 /// read the file.
 #[derive(Debug, Args)]
 pub(crate) struct Config {

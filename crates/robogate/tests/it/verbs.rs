@@ -109,8 +109,9 @@ fn figures_are_files() {
     }
     if !cfg!(feature = "print") {
         let pdf = path(&dir, "f.pdf");
+        let name = list.split_whitespace().next().unwrap();
         let words = ["SVG only", "Hint: build with --features print"];
-        assert_refused(&["figure", &file, "effects-success-rate", "--pdf", &pdf], &words);
+        assert_refused(&["figure", &file, name, "--pdf", &pdf], &words);
         assert!(!std::path::Path::new(&pdf).exists());
     }
     assert_refused(&["figure", &file, "none"], &["no such figure", "Expected one of"]);
