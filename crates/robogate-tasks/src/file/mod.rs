@@ -158,12 +158,18 @@ impl FileTask {
     fn briefing(&self, numbers: &Numbers, layout: &Layout) -> Briefing {
         let model = &self.model;
         let told = model.parameters.iter().zip(&numbers.values).filter(|(parameter, _)| parameter.told);
-        let starts = model.parts.iter().zip(&layout.parts).filter(|(part, _)| part.start.is_some());
+        let nominal = Layout::new(numbers, &model.parents(), &vec![Draws::default(); model.parts.len()]).parts;
+        let at = |of: usize| match model.parts[of].start {
+            Some(_) => Some(pose(&layout.parts[of])),
+            // The place of a part follows the reach of the arm.
+            None => model.fit_reach.then(|| pose(&nominal[of])),
+        };
+        let starts = model.parts.iter().enumerate().filter_map(|(of, part)| Some((part.name.clone(), at(of)?)));
         let word = model.choice.as_ref().and_then(|choice| choice.words.get(numbers.word));
         Briefing {
             parameters: told.map(|(parameter, value)| (parameter.name.to_string(), *value)).collect(),
             choice: word.map(|(word, _)| word.clone()).unwrap_or_default(),
-            parts: starts.map(|(part, at)| (part.name.clone(), pose(at))).collect(),
+            parts: starts.collect(),
         }
     }
 
@@ -459,7 +465,7 @@ struct Briefing {
     /// The word of the task's choice, if it has one.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     choice: String,
-    /// Poses of the parts that start in a region.
+    /// Poses of the parts that start in a region, and nominal poses of parts whose places follow the reach of the arm.
     parts: BTreeMap<String, Pose>,
 }
 
