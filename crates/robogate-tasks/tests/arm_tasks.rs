@@ -64,7 +64,8 @@ fn tool_experts_succeed() {
                 continue;
             }
             let mut environment = environment(task, robot);
-            let mut expert = task.tool_expert(EngineKind::Mujoco.robot(robot).robot).unwrap();
+            let mut expert =
+                task.tool_expert(EngineKind::Mujoco.robot(robot).robot, environment.engine().chain().clone()).unwrap();
             expert.check(robogate_core::Environment::task(&environment)).unwrap();
             for index in 0..2 {
                 let episode = rollout(&mut environment, &mut *expert, &scenario(index, &[]));
@@ -111,7 +112,8 @@ fn impossible_scenarios_are_known() {
         // The vacuum of the cup carries 7.6 kg; a unit may have much less.
         &[("mass_kg", 2.0), ("grip_force_scale", 0.05)],
     ];
-    for (task, (robot, values)) in arm_tasks().into_iter().zip(["franka", "franka", "ur5e"].into_iter().zip(impossible)) {
+    for (task, (robot, values)) in arm_tasks().into_iter().zip(["franka", "franka", "ur5e"].into_iter().zip(impossible))
+    {
         let environment = environment(task, robot);
         let known = |values| robogate_core::Environment::infeasibility(&environment, &scenario(0, values).requested);
         assert!(known(values).is_some_and(|why| why.condition.contains("heavier")), "{}", task.name());

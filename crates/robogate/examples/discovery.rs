@@ -134,7 +134,11 @@ fn score(test: &str, partners: &str, runs: &[&str]) -> anyhow::Result<()> {
     let task = dictionary.provenance().task.name;
     let tasks: [&dyn ArmTask; 2] = [&PickPlace::DEFAULT, &Insertion::DEFAULT];
     let from_files = shipped().map(|task| -> &dyn ArmTask { task });
-    let of = tasks.into_iter().chain(from_files).find(|of| task == *of.name()).with_context(|| format!("unknown task {task}"))?;
+    let of = tasks
+        .into_iter()
+        .chain(from_files)
+        .find(|of| task == *of.name())
+        .with_context(|| format!("unknown task {task}"))?;
     let rig = Rig { picture_px: [PICTURE_PX; 2], ..Rig::default() };
     let foresight = of.environment(Box::new(engine), rig).map(|of| of.foresight());
     let foresight = foresight.map_err(|why| anyhow!(why))?;

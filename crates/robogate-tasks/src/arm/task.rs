@@ -92,7 +92,7 @@ pub trait ArmDeclaration: Send + Sync {
     fn controller(&self, robot: Robot, chain: Chain) -> Box<dyn Policy>;
 
     /// The controller that moves the tool in small steps, if the task has one.
-    fn tool_expert(&self, robot: Robot) -> Option<Box<dyn Policy>>;
+    fn tool_expert(&self, robot: Robot, chain: Chain) -> Option<Box<dyn Policy>>;
 }
 
 /// The parameters of a task for an arm.

@@ -25,7 +25,7 @@ const CAREFUL_M_S: f64 = 0.1;
 const LEVER_M: f64 = 0.05;
 
 /// A tool is at a place within this distance, in metres.
-pub(super) const THERE_M: f64 = 1e-5;
+const THERE_M: f64 = 1e-5;
 
 /// Time between the end of a plan and a meeting with something that moves, in control periods.
 const MEETING_TICKS: usize = 10;
@@ -130,11 +130,7 @@ impl<'a> Cell<'a> {
         Self { model, robot, numbers, layout, joints }
     }
 
-    pub(super) fn gripper(&self) -> &Gripper {
-        &self.robot.settings.gripper
-    }
-
-    pub(super) fn number(&self, value: &Value) -> f64 {
+    fn number(&self, value: &Value) -> f64 {
         value.constant(&self.numbers.values).unwrap_or_default()
     }
 
@@ -144,7 +140,7 @@ impl<'a> Cell<'a> {
     }
 
     /// The frame of a place, moved to the place.
-    pub(super) fn at(&self, place: &Place, frame: &Isometry3<f64>) -> Isometry3<f64> {
+    fn at(&self, place: &Place, frame: &Isometry3<f64>) -> Isometry3<f64> {
         let mut at = frame * Translation3::from(place.point);
         if let [x, y, z] = &place.shift[..] {
             at.translation.vector += Vector3::new(self.number(x), self.number(y), self.number(z));
@@ -154,7 +150,7 @@ impl<'a> Cell<'a> {
 
     /// Where the tool is at a place of this frame, in metres. At the origin of a free part it is where it grasps the part. A cup takes
     /// a free part from above, at any place.
-    pub(super) fn target(&self, place: &Place, frame: &Isometry3<f64>) -> Vector3<f64> {
+    fn target(&self, place: &Place, frame: &Isometry3<f64>) -> Vector3<f64> {
         let at = self.at(place, frame).translation.vector;
         let gripper = &self.robot.settings.gripper;
         let Frame::Part(of) = place.on else { return at };

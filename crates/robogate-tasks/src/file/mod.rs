@@ -357,13 +357,16 @@ impl ArmDeclaration for FileTask {
         Box::new(Expert::new(Arc::clone(&self.model), self.settings.clone(), robot, chain))
     }
 
-    fn tool_expert(&self, robot: Robot) -> Option<Box<dyn Policy>> {
-        if !self.model.has_expert() || !way::exists(&self.model) {
+    fn tool_expert(&self, robot: Robot, chain: Chain) -> Option<Box<dyn Policy>> {
+        let joints = self.model.nominal.parts.iter().any(|part| part.joint.is_some());
+        if !self.has_expert() || self.moves() || joints {
             return None;
         }
-        let (model, settings) = (Arc::clone(&self.model), self.settings.clone());
-        let way = move |robot: &Robot, instance: &TaskInstance| {
-            Ok(way::way(&Cell::new(&model, &settings, robot, &Briefing::of(&model, instance)?)))
+        let (model, gripper) = (Arc::clone(&self.model), robot.settings.gripper.clone());
+        let expert = Expert::new(Arc::clone(&model), self.settings.clone(), robot.clone(), chain.clone());
+        let way = move |_: &Robot, instance: &TaskInstance| {
+            let (Ok(stages) | Err(stages)) = expert.stages(&Briefing::of(&model, instance)?);
+            Ok(way::way(&stages, &chain, &gripper))
         };
         Some(Box::new(ToolExpert::new(self.name(), Arc::new(way), robot)))
     }

@@ -58,7 +58,7 @@ impl ArmDeclaration for Insertion {
         Box::new(Scripted::new(robot, chain))
     }
 
-    fn tool_expert(&self, robot: Robot) -> Option<Box<dyn Policy>> {
+    fn tool_expert(&self, robot: Robot, _: Chain) -> Option<Box<dyn Policy>> {
         Some(Box::new(ToolExpert::new(NAME, Arc::new(controller::way), robot)))
     }
 }

@@ -8,8 +8,8 @@ use robogate_core::{Assignment, Environment, Measures, Outcome, Pose, Scenario, 
 use robogate_physics::{Engine, MujocoEngine, Robot, built_in_robot, isometry};
 
 use super::{ArmEnvironment, ArmTask, Rig};
-use crate::insertion::{Insertion, parts::DEPTH_M};
 use crate::file::{FileTask, shipped};
+use crate::insertion::{Insertion, parts::DEPTH_M};
 
 fn stacking() -> &'static FileTask {
     shipped().next().unwrap()
@@ -183,8 +183,10 @@ fn stacking_is_foreseen() {
             let margin = feature(&environment, &scenario, "place_margin_m");
             let details = environment.reset(&scenario).unwrap().instance.details;
             for (body, part) in ["a", "b", "c"].iter().enumerate() {
-                let (at, [x, y, _]): (_, [f64; 3]) =
-                    (environment.engine().free_body(body), place(&details["parts"][format!("part_{part}")]).translation.vector.into());
+                let (at, [x, y, _]): (_, [f64; 3]) = (
+                    environment.engine().free_body(body),
+                    place(&details["parts"][format!("part_{part}")]).translation.vector.into(),
+                );
                 let found = [at.translation.x - x, at.translation.y - y, at.rotation.euler_angles().2];
                 for (suffix, found) in ["shift_x_m", "shift_y_m", "turn_rad"].iter().zip(found) {
                     let draw = of(&draws, &format!("part_{part}_{suffix}"));
@@ -192,8 +194,7 @@ fn stacking_is_foreseen() {
                 }
             }
             let moments = ["grasp_second", "place_second", "grasp_third", "place_third"];
-            let last =
-                follow(stacking(), &mut environment, &robot, &scenario, &moments, "", |_, _| {}).unwrap();
+            let last = follow(stacking(), &mut environment, &robot, &scenario, &moments, "", |_, _| {}).unwrap();
             if last.ending.is_some_and(|ending| ending.failure.is_none()) {
                 let offset = last.measures.get("stack_offset_m").unwrap();
                 let predicted = TOLERANCE_M - margin;
