@@ -1,10 +1,10 @@
 //! Reads conditions, measures and skills: once for each word of the task's choice, with the parts that have the roles there.
 
-use robogate_core::FailureMode;
+use robogate_core::{FailureMode, Word};
 
 use super::conditions::{Compiler, Condition};
 use super::document::{Document, MeasureTable, Text};
-use super::model::{Case, ChoiceModel, FailureModel, How, MeasureModel, Measured, Reading};
+use super::model::{Case, ChoiceModel, How, Measured, Reading};
 use super::numbers::{Numbers, Target};
 use super::skills::{self, Skill};
 use super::syntax::{self, Wrong};
@@ -13,26 +13,24 @@ use crate::settings::unit_of;
 
 impl Reading<'_, '_> {
     /// The failures, without their conditions.
-    pub(super) fn failures(&mut self, document: &Document) -> Vec<FailureModel> {
-        let mut failures: Vec<FailureModel> = Vec::new();
+    pub(super) fn failures(&mut self, document: &Document) -> Vec<FailureMode> {
+        let mut failures: Vec<FailureMode> = Vec::new();
         for table in &document.failure {
             let Some(name) = self.word(&table.name) else { continue };
             if ["collision", "struck", "timeout"].contains(&name.as_str()) {
                 self.problems.of(&table.name, format!("every task has the failure `{name}`. Expected another name"));
             }
-            if failures.iter().any(|failure| failure.mode.as_str() == name.as_str()) {
+            if failures.iter().any(|failure| failure.as_str() == name.as_str()) {
                 self.problems.of(&table.name, format!("a second failure `{name}`"));
             }
             let mode = FailureMode::new(name.as_str()).map_err(|why| why.to_string());
-            let Some(mode) = self.problems.take(&table.name, mode) else { continue };
-            let (severity, meaning, at_limit) = (table.severity, table.meaning.clone(), table.at_limit);
-            failures.push(FailureModel { mode, severity, meaning, at_limit });
+            failures.extend(self.problems.take(&table.name, mode));
         }
         failures
     }
 
     /// The stages, without their conditions.
-    pub(super) fn stages(&mut self, document: &Document) -> Vec<robogate_core::Word> {
+    pub(super) fn stages(&mut self, document: &Document) -> Vec<Word> {
         let mut stages = Vec::new();
         for table in &document.stage {
             let Some(name) = self.word(&table.name) else { continue };
@@ -50,7 +48,7 @@ impl Reading<'_, '_> {
         document: &Document,
         choice: Option<&ChoiceModel>,
         nominal: &Numbers,
-    ) -> (Vec<Case>, Vec<MeasureModel>) {
+    ) -> (Vec<Case>, Vec<(Word, Dimension)>) {
         let mut words: Vec<Vec<(String, usize)>> = vec![Vec::new()];
         if let Some(choice) = choice {
             let roles = |parts: &Vec<usize>| choice.roles.iter().cloned().zip(parts.iter().copied()).collect();
@@ -71,7 +69,7 @@ impl Reading<'_, '_> {
         (cases, measures)
     }
 
-    fn case(&mut self, document: &Document, nominal: &Numbers, measures: &mut Vec<MeasureModel>) -> Case {
+    fn case(&mut self, document: &Document, nominal: &Numbers, measures: &mut Vec<(Word, Dimension)>) -> Case {
         let mut case = Case::default();
         for table in &document.condition {
             let name = self.word(&table.name);
@@ -135,9 +133,9 @@ impl Reading<'_, '_> {
         found.map_err(|(at, why)| self.problems.at(within(text, offset + at), why, "")).ok()
     }
 
-    fn measure(&mut self, table: &MeasureTable, measures: &mut Vec<MeasureModel>, case: &mut Case) {
+    fn measure(&mut self, table: &MeasureTable, measures: &mut Vec<(Word, Dimension)>, case: &mut Case) {
         let Some(name) = self.word(&table.name) else { return };
-        if measures.iter().any(|known| known.name == name) {
+        if measures.iter().any(|(known, _)| *known == name) {
             self.problems.of(&table.name, format!("a second measure `{name}`"));
         }
         let mut read: Option<(Dimension, Vec<Measured>)> = None;
@@ -157,7 +155,7 @@ impl Reading<'_, '_> {
         if !unit.is_empty() && unit != dimension.unit() {
             self.problems.of(&table.name, format!("`{name}` ends with the unit {unit}, but its value is {dimension}"));
         }
-        measures.push(MeasureModel { name, meaning: table.meaning.clone(), better: table.better, dimension });
+        measures.push((name, dimension));
         case.measures.push(of);
     }
 

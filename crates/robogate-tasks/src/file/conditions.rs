@@ -442,9 +442,11 @@ impl Compiler<'_> {
                 Ok(Condition::Within(self.boxed(one)?, self.duration(time)?, self.boxed(other)?, self.slot()))
             }
             What::Call(name, arguments) => self.call(node.at, name, arguments),
-            What::Name(name) if self.names.conditions.iter().any(|(known, _)| known == name) => {
-                let slot = self.names.conditions.iter().find(|(known, _)| known == name).map(|(_, slot)| *slot);
-                Ok(Condition::Named(slot.unwrap_or_default()))
+            What::Name(name) if !self.names.conditions.is_empty() => {
+                let known = self.names.conditions.iter();
+                let found = known.clone().find(|(known, _)| known == name).map(|(_, slot)| Condition::Named(*slot));
+                let hint = || robogate_core::hint(name, known.map(|(known, _)| known.as_str()));
+                found.ok_or_else(|| (node.at, format!("unknown condition `{name}`: {}", hint())))
             }
             What::Number(_) | What::Parameter(_) | What::Name(_) | What::Negative(_) | What::Binary(..) => {
                 Err((node.at, "found a value. Expected a condition, such as `joint(drawer) > 10 cm`".to_owned()))

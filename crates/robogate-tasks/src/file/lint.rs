@@ -3,23 +3,24 @@
 use robogate_physics::{Chain, Robot};
 
 use super::conditions::Condition;
-use super::expert;
+use super::document::Document;
 use super::model::Model;
 use super::problem::{Problem, Problems};
 
 /// Every problem of the task with this robot.
 pub(super) fn lint(model: &Model, robot: &Robot, chain: &Chain) -> Vec<Problem> {
     let mut problems = Problems::new(&model.text);
-    let lines = &model.lines;
-    let at = std::iter::once(&lines.success).chain(&lines.failures).chain(&lines.stages);
+    let Document { success, failure, stage, expert, .. } = &model.document;
+    let at = std::iter::once(&success.when).chain(failure.iter().map(|of| &of.when));
+    let at = at.chain(stage.iter().map(|of| &of.when));
     let case = &model.cases[model.nominal.word];
     for (condition, at) in case.conditions().zip(at) {
-        thresholds(model, condition, *at, &mut problems);
+        thresholds(model, condition, at.at, &mut problems);
     }
-    if let Some(skill) = expert::unreachable(model, robot, chain) {
+    if let Some(skill) = super::expert::unreachable(model, robot, chain) {
         let phase = case.skills.as_ref().and_then(|skills| skills.get(skill)).map_or("", |skill| skill.phase.as_str());
         problems.at(
-            lines.expert,
+            expert.as_ref().and_then(|of| of.skills.get(skill)).map_or(0, |text| text.at),
             format!("the expert cannot reach the goal of skill {} (`{phase}`) with {}", skill + 1, robot.name()),
             "move the scene nearer to x = 0.5 m, y = 0, or choose another robot with --robot",
         );

@@ -117,6 +117,11 @@ impl FileTask {
         self.model.has_expert()
     }
 
+    /// The settings of the file with their values.
+    pub fn own_settings(&self) -> impl Iterator<Item = (&'static str, f64)> {
+        self.model.settings.iter().map(|setting| setting.name.as_str()).zip(self.settings.iter().copied())
+    }
+
     /// Whether a fixture moves.
     pub fn moves(&self) -> bool {
         self.model.nominal.motions.iter().any(Option::is_some)
@@ -162,7 +167,7 @@ impl FileTask {
         let at = |of: usize| match model.parts[of].start {
             Some(_) => Some(pose(&layout.parts[of])),
             // The place of a part follows the reach of the arm.
-            None => model.fit_reach.then(|| pose(&nominal[of])),
+            None => model.document.scene.fit_reach.then(|| pose(&nominal[of])),
         };
         let starts = model.parts.iter().enumerate().filter_map(|(of, part)| Some((part.name.clone(), at(of)?)));
         let word = model.choice.as_ref().and_then(|choice| choice.words.get(numbers.word));
@@ -271,8 +276,8 @@ impl FileTask {
     }
 
     fn instruction(&self, numbers: &Numbers) -> String {
-        let mut text = self.model.instruction.clone();
-        for name in braces(&self.model.instruction) {
+        let mut text = self.model.document.instruction.text.clone();
+        for name in braces(&self.model.document.instruction.text) {
             if let Some(part) = self.model.in_role(numbers.word, name) {
                 text = text.replace(&format!("{{{name}}}"), &self.model.parts[part].name.replace('_', " "));
                 continue;
@@ -304,9 +309,10 @@ impl OnArm for FileTask {
 
 impl HasSettings for FileTask {
     fn rows(&self) -> Vec<SettingRow<Self>> {
+        let tables = &self.model.document.setting;
         let row = |(index, setting): (usize, &SettingModel)| SettingRow {
             name: setting.name.as_str(),
-            meaning: setting.meaning.clone().into(),
+            meaning: tables[index].meaning.clone().into(),
             field: Field::Listed(setting.range, index, |task: &mut Self, index| &mut task.settings[index]),
         };
         rows(self.model.settings.iter().enumerate().map(row))
@@ -319,7 +325,7 @@ impl ArmDeclaration for FileTask {
     }
 
     fn summary(&self) -> &str {
-        &self.model.summary
+        &self.model.document.summary
     }
 
     fn brought_space(&self) -> Option<ParameterSpace> {
@@ -412,8 +418,9 @@ impl Rules for FileTask {
     fn spec(&self, robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
         let model = &self.model;
         let failures = |at_limit: bool| {
-            let failures = model.failures.iter().filter(move |failure| failure.at_limit == at_limit);
-            failures.map(|failure| mode(failure.mode, failure.severity, &failure.meaning))
+            let failures = model.failures.iter().zip(&model.document.failure);
+            let failures = failures.filter(move |(_, table)| table.at_limit == at_limit);
+            failures.map(|(name, table)| mode(*name, table.severity, &table.meaning))
         };
         let collision = mode(
             COLLISION,
@@ -422,12 +429,13 @@ impl Rules for FileTask {
         );
         let timeout =
             mode(FailureMode::TIMEOUT, Severity::Minor, "The time limit passed before the success condition held.");
-        let own = model.measures.iter().map(|of| measure(of.name, &of.dimension.unit(), of.better, &of.meaning));
+        let own = model.measures.iter().zip(&model.document.measure);
+        let own = own.map(|((name, of), table)| measure(*name, &of.unit(), table.better, &table.meaning));
         let stages: Vec<String> = model.stages.iter().map(ToString::to_string).collect();
         let meaning = format!("Number of stages that were reached, in order: {}.", stages.join(", "));
         let stages = (!stages.is_empty()).then(|| measure(STAGES, "", Better::Higher, &meaning));
         TaskSpec {
-            version: model.version,
+            version: model.document.version,
             instruction: self.instruction(&model.nominal),
             failure_modes: failures(false).chain([collision]).chain(failures(true)).chain([timeout]).collect(),
             draws: model.foresight.map(|(_, plug_in)| (plug_in.draws)(self, robot)).unwrap_or_default(),

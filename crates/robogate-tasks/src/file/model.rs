@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 use robogate_core::budget::Budget;
-use robogate_core::{Better, FailureMode, Severity, Word};
+use robogate_core::{FailureMode, Word};
 use robogate_physics::{Color, GRAVITY, Motion, Part, Primitive};
 
 use super::conditions::{Condition, Value};
@@ -31,10 +31,9 @@ const FRICTION: f64 = 0.7;
 /// A task as a file describes it.
 #[derive(Debug)]
 pub(super) struct Model {
+    /// The file as it is written.
+    pub(super) document: Document,
     pub(super) name: Word,
-    pub(super) version: u32,
-    pub(super) summary: String,
-    pub(super) instruction: String,
     pub(super) time_limit_s: f64,
     pub(super) fixtures: Vec<FixtureModel>,
     pub(super) parts: Vec<PartModel>,
@@ -48,26 +47,14 @@ pub(super) struct Model {
     pub(super) suite: Option<Word>,
     /// What is known about episodes before they run, by its name.
     pub(super) foresight: Option<(&'static str, PlugIn)>,
-    pub(super) failures: Vec<FailureModel>,
+    pub(super) failures: Vec<FailureMode>,
     pub(super) stages: Vec<Word>,
-    pub(super) measures: Vec<MeasureModel>,
-    /// Whether the layout fits the reach of the arm.
-    pub(super) fit_reach: bool,
+    /// The measures with the dimension of their values.
+    pub(super) measures: Vec<(Word, Dimension)>,
     /// Conditions and skills for each word of the choice, or for a task without a choice.
     pub(super) cases: Vec<Case>,
-    /// Where conditions and parameters stand, for problems that are found later.
-    pub(super) lines: Lines,
     /// The text of the file.
     pub(super) text: String,
-}
-
-/// Where things stand in the file, as bytes.
-#[derive(Debug, Default)]
-pub(super) struct Lines {
-    pub(super) success: usize,
-    pub(super) failures: Vec<usize>,
-    pub(super) stages: Vec<usize>,
-    pub(super) expert: usize,
 }
 
 /// A body that stands still.
@@ -102,25 +89,6 @@ pub(super) struct ParameterModel {
     pub(super) told: bool,
 }
 
-/// A failure.
-#[derive(Debug)]
-pub(super) struct FailureModel {
-    pub(super) mode: FailureMode,
-    pub(super) severity: Severity,
-    pub(super) meaning: String,
-    /// Whether it names the failure of an episode that reaches the time limit.
-    pub(super) at_limit: bool,
-}
-
-/// A measure.
-#[derive(Debug)]
-pub(super) struct MeasureModel {
-    pub(super) name: Word,
-    pub(super) meaning: String,
-    pub(super) better: Better,
-    pub(super) dimension: Dimension,
-}
-
 /// The parameter that says which parts have which roles.
 #[derive(Debug)]
 pub(super) struct ChoiceModel {
@@ -139,7 +107,6 @@ pub(super) struct SettingModel {
     pub(super) name: Word,
     pub(super) range: [f64; 2],
     pub(super) default: f64,
-    pub(super) meaning: String,
 }
 
 /// Conditions and skills, with every role resolved.
@@ -202,7 +169,7 @@ impl Model {
                 return Err(problems.found);
             }
         };
-        let model = Reading { problems: &mut problems, names: Names::default() }.model(&document, text);
+        let model = Reading { problems: &mut problems, names: Names::default() }.model(document, text);
         match model {
             Some(model) if problems.found.is_empty() => Ok(model),
             _ => {
@@ -268,12 +235,12 @@ pub(super) struct Reading<'a, 'b> {
 }
 
 impl Reading<'_, '_> {
-    fn model(mut self, document: &Document, text: &str) -> Option<Model> {
+    fn model(mut self, document: Document, text: &str) -> Option<Model> {
         if document.format.text != FORMAT {
             self.problems
                 .of(&document.format, format!("unknown format `{}`. Expected `{FORMAT}`", document.format.text));
         }
-        self.check_sizes(document);
+        self.check_sizes(&document);
         let name = self.word(&document.name);
         let time_limit_s = self.time_limit(&document.time_limit);
         let mut nominal = Numbers {
@@ -282,13 +249,13 @@ impl Reading<'_, '_> {
             scale: 1.0,
             ..Numbers::default()
         };
-        let fixtures = self.fixtures(document, &mut nominal);
+        let fixtures = self.fixtures(&document, &mut nominal);
         // Regions may be in parts, and parts may start in regions: names first.
-        let parts = self.parts(document, &mut nominal);
-        self.regions(document);
-        let parts = self.with_starts(document, parts);
-        let parameters = self.parameters(document, &mut nominal);
-        let settings = self.settings(document, &mut nominal);
+        let parts = self.parts(&document, &mut nominal);
+        self.regions(&document);
+        let parts = self.with_starts(&document, parts);
+        let parameters = self.parameters(&document, &mut nominal);
+        let settings = self.settings(&document, &mut nominal);
         let choice = document.choice.as_ref().and_then(|table| self.choice(table));
         let space = document.space.as_ref().and_then(|text| {
             let known = crate::spaces::built_in_spaces();
@@ -309,26 +276,16 @@ impl Reading<'_, '_> {
             };
             self.problems.take(text, found.ok_or_else(why))
         });
-        let failures = self.failures(document);
-        let stages = self.stages(document);
-        let (cases, measures) = self.cases(document, choice.as_ref(), &nominal);
+        let failures = self.failures(&document);
+        let stages = self.stages(&document);
+        let (cases, measures) = self.cases(&document, choice.as_ref(), &nominal);
         if let Some(choice) = &choice {
             nominal.word = choice.nominal;
             self.names.roles = choice.roles.iter().map(|role| (role.clone(), 0)).collect();
         }
         check_instruction(self.problems, &self.names, &document.instruction);
-        let at = |texts: Vec<&Text>| texts.iter().map(|text| text.at).collect();
-        let lines = Lines {
-            success: document.success.when.at,
-            failures: at(document.failure.iter().map(|failure| &failure.when).collect()),
-            stages: at(document.stage.iter().map(|stage| &stage.when).collect()),
-            expert: document.expert.as_ref().and_then(|of| of.skills.first()).map_or(0, |skill| skill.at),
-        };
         let model = Model {
             name: name?,
-            version: document.version,
-            summary: document.summary.clone(),
-            instruction: document.instruction.text.clone(),
             time_limit_s: time_limit_s?,
             fixtures,
             parts,
@@ -342,12 +299,11 @@ impl Reading<'_, '_> {
             failures,
             stages,
             measures,
-            fit_reach: document.scene.fit_reach,
             cases,
-            lines,
             text: text.to_owned(),
+            document,
         };
-        if let (Some(text), Some((_, plug_in))) = (&document.foresight, foresight) {
+        if let (Some(text), Some((_, plug_in))) = (&model.document.foresight, foresight) {
             self.problems.take(text, (plug_in.suits)(&model));
         }
         Some(model)

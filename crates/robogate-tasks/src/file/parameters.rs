@@ -110,7 +110,7 @@ impl Model {
             let value = value.constant(&numbers.values).unwrap_or(f64::NAN);
             target.set(numbers, value);
         }
-        if self.fit_reach {
+        if self.document.scene.fit_reach {
             let fitted = |[x, y, z]: [f64; 3]| {
                 let [[x, y]] = within_reach(robot, [[x, y]]);
                 [x, y, z]

@@ -215,10 +215,10 @@ impl Trial for Referee {
         }
         let success = case.success.as_ref().is_some_and(|success| success.now(&now, memory));
         let (mut failure, mut at_limit) = (None, None);
-        for (of, when) in model.failures.iter().zip(&case.failures) {
-            let first = if of.at_limit { &mut at_limit } else { &mut failure };
+        for ((mode, table), when) in model.failures.iter().zip(&model.document.failure).zip(&case.failures) {
+            let first = if table.at_limit { &mut at_limit } else { &mut failure };
             if when.now(&now, memory) {
-                *first = first.or(Some(of.mode));
+                *first = first.or(Some(*mode));
             }
         }
         self.at_limit = at_limit;
@@ -232,7 +232,7 @@ impl Trial for Referee {
     }
 
     fn measures(&self) -> Measures {
-        let own = self.model.measures.iter().zip(&self.measured).map(|(measure, value)| (measure.name, *value));
+        let own = self.model.measures.iter().zip(&self.measured).map(|((name, _), value)| (*name, *value));
         let stages = (!self.model.stages.is_empty()).then_some((STAGES, Some(self.reached as f64)));
         own.chain(stages).collect()
     }

@@ -106,7 +106,7 @@ impl Reading<'_, '_> {
             nominal.values.push(default);
             self.names.parameters.push((name.to_string(), found.dimension));
             self.names.nominal.push(default);
-            settings.push(SettingModel { name, range, default, meaning: table.meaning.clone() });
+            settings.push(SettingModel { name, range, default });
         }
         settings
     }
