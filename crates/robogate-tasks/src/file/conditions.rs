@@ -10,9 +10,6 @@ use super::syntax::{Node, Operator, What, Wrong};
 use super::units::Dimension;
 use crate::arm::{Bodies, Sight, touching};
 
-/// The memory of a named condition that holds in this step.
-pub(super) const HOLDS: f64 = 1.0;
-
 /// A body is at rest below this speed, in m/s ...
 const REST_SPEED: f64 = 0.01;
 /// ... and this angular speed, in rad/s.
@@ -85,7 +82,7 @@ pub(super) enum Condition {
     /// The part that the gripper acts on is this one, and touches something else than the robot.
     Supported(usize),
     AtRest(usize),
-    /// The condition with a name whose result this slot has.
+    /// The condition with a name whose result this slot has: the time of the step if it holds there.
     Named(usize),
     Inside(Place, Region),
     /// A part touches a body below its middle.
@@ -275,7 +272,7 @@ impl Condition {
                 now.hand.selected == *of && (view.touches.body_on_object || touching(view))
             }
             Self::Supported(of) => now.hand.selected == *of && now.sight.view.touches.object_on_fixture,
-            Self::Named(slot) => memory[*slot] == HOLDS,
+            Self::Named(slot) => memory[*slot].is_finite(),
             Self::AtRest(of) => {
                 let (linear, angular) = now.bodies().velocity(*of);
                 linear.norm() < REST_SPEED && angular.norm() < REST_SPIN

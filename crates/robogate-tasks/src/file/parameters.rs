@@ -146,7 +146,8 @@ impl Model {
             };
             applied.set(name, if is_close(found, number(value)) { value.clone() } else { Value::Number(found) });
         }
-        applied
+        // In the order of the request, as records have them.
+        requested.iter().filter_map(|(name, _)| Some((name.into(), applied.get(name)?.clone()))).collect()
     }
 
     /// The value of a number in the engine: of this parameter, if it is one.

@@ -6,7 +6,7 @@ use nalgebra::{Isometry3, Vector3};
 use robogate_core::{Assignment, FailureMode, Measures, Word};
 use robogate_physics::{Collision, GripperCommand, Hit, Part};
 
-use super::conditions::{Body, Condition, HOLDS, Hand, Now, Value};
+use super::conditions::{Body, Condition, Hand, Now, Value};
 use super::model::{Case, How, Model};
 use super::numbers::{Draws, Layout, Numbers};
 use crate::arm::{Acting, Bodies, Found, Grip, GripChange, Record, Sight, Trial, displacement, still, touching};
@@ -190,7 +190,7 @@ impl Trial for Referee {
         let (model, memory) = (&self.model, &mut self.memory);
         let case = &model.cases[self.numbers.word];
         for (condition, slot) in &case.named {
-            memory[*slot] = if condition.now(&now, memory) { HOLDS } else { f64::INFINITY };
+            memory[*slot] = if condition.now(&now, memory) { sight.time } else { f64::INFINITY };
         }
         for (measure, so_far) in case.measures.iter().zip(&mut self.measured) {
             for of in measure {
