@@ -51,10 +51,11 @@ fn instance() -> TaskInstance {
 fn demonstration(frames: usize, sigma_m: f64) -> (Demonstration, Vec<Action>) {
     let robot = built_in_robot("franka").unwrap();
     let task = spec(&robot, Vec::new(), &PickPlace::DEFAULT);
+    let of = robot.clone();
     let chain = MujocoEngine::new(robot, 0.002).unwrap().chain().clone();
     let mut recorder = Recorder::new(
         Box::new(Onward),
-        Box::new(|instance| PickPlace::DEFAULT.first_part(instance)),
+        Box::new(move |instance| PickPlace::DEFAULT.first_part(instance, &of)),
         chain.clone(),
         READY.to_vec(),
         sigma_m,

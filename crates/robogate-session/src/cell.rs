@@ -235,7 +235,8 @@ impl Cell {
         let chain = self.chain(&self.setup())?;
         let rest = self.robot.settings.arm.home_rad.clone();
         let task = Arc::clone(&self.task);
-        let told = Box::new(move |instance: &TaskInstance| task.first_part(instance));
+        let robot = self.robot.clone();
+        let told = Box::new(move |instance: &TaskInstance| task.first_part(instance, &robot));
         Ok((self.environment()?, Recorder::new(self.controller()?, told, chain, rest, push_m)))
     }
 

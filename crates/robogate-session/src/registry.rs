@@ -3,7 +3,7 @@
 //! A new engine or task adds one line here. Robots, spaces and suites are files that their crates embed.
 
 use std::path::Path;
-use std::sync::Arc;
+use std::sync::{Arc, LazyLock};
 
 use anyhow::anyhow;
 use robogate_core::Assignment;
@@ -12,9 +12,9 @@ use robogate_physics::MujocoEngine;
 #[cfg(feature = "rapier")]
 use robogate_physics::RapierEngine;
 use robogate_physics::{Chain, Engine, Robot, RobotError};
+use robogate_tasks::file::shipped;
 use robogate_tasks::insertion::Insertion;
 use robogate_tasks::pick_place::{self, PickPlace};
-use robogate_tasks::stacking::Stacking;
 use robogate_tasks::{ArmTask, SelfContained, built_in_spaces};
 
 use crate::task_folder;
@@ -51,7 +51,11 @@ const _: () = assert!(!ENGINES.is_empty(), "a build needs an engine: --features 
 const OPTIONAL: [&str; 2] = ["mujoco", "rapier"];
 
 /// The tasks for an arm in the cell; the first is the default.
-pub const ARM_TASKS: &[&dyn ArmTask] = &[&PickPlace::DEFAULT, &Stacking::DEFAULT, &Insertion::DEFAULT];
+pub static ARM_TASKS: LazyLock<Vec<&'static dyn ArmTask>> = LazyLock::new(|| {
+    let from_files = shipped().map(|task| -> &dyn ArmTask { task });
+    let first: [&dyn ArmTask; 1] = [&PickPlace::DEFAULT];
+    first.into_iter().chain(from_files).chain([&Insertion::DEFAULT as &dyn ArmTask]).collect()
+});
 
 /// The tasks that bring their own world.
 pub const TASKS: &[&dyn SelfContained] = &[

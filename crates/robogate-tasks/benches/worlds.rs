@@ -19,9 +19,9 @@ use robogate_core::{
 };
 use robogate_physics::worlds::{Member, Server, Simulator};
 use robogate_physics::{Engine, MujocoEngine, built_in_robot};
+use robogate_tasks::file::shipped;
 use robogate_tasks::insertion::Insertion;
 use robogate_tasks::pick_place::PickPlace;
-use robogate_tasks::stacking::Stacking;
 use robogate_tasks::{ArmTask, Rig, built_in_space};
 
 /// The arguments, as `NAME=VALUE`.
@@ -211,7 +211,7 @@ fn main() {
         return;
     }
     let task: &dyn ArmTask = match &*arguments.text("task", "pick_place") {
-        "stacking" => &Stacking::DEFAULT,
+        "stacking" => shipped().next().expect("it is built in"),
         "insertion" => &Insertion::DEFAULT,
         _ => &PickPlace::DEFAULT,
     };

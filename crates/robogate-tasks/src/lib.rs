@@ -14,7 +14,6 @@ mod random;
 mod self_contained;
 mod settings;
 mod spaces;
-pub mod stacking;
 
 #[cfg(feature = "mujoco")]
 pub use arm::ArmWorlds;

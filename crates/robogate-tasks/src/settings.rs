@@ -1,5 +1,7 @@
 //! Tables of settings: one row per setting of a task, with its values and its field.
 
+use std::borrow::Cow;
+
 use robogate_core::{Allowed, Assignment, SettingSpec, Value};
 use robogate_physics::SuctionLaw;
 
@@ -22,7 +24,7 @@ pub(crate) const fn unit_of(name: &str) -> &'static str {
 pub(crate) struct SettingRow<T: 'static> {
     /// The name, which ends with the unit.
     pub(crate) name: &'static str,
-    pub(crate) meaning: &'static str,
+    pub(crate) meaning: Cow<'static, str>,
     pub(crate) field: Field<T>,
 }
 
@@ -30,6 +32,8 @@ pub(crate) struct SettingRow<T: 'static> {
 pub(crate) enum Field<T: 'static> {
     /// A number in a range, both ends included.
     Number([f64; 2], fn(&mut T) -> &mut f64),
+    /// As [`Self::Number`], the one with this index among those of a task from a file.
+    Listed([f64; 2], usize, fn(&mut T, usize) -> &mut f64),
     /// A time in seconds: from one to the given number of periods of the given duration.
     Periods(f64, u32, fn(&mut T) -> &mut f64),
     /// A number in a range. The robot determines the default.
@@ -72,7 +76,7 @@ impl<T> SettingRow<T> {
         range: [f64; 2],
         field: fn(&mut T) -> &mut f64,
     ) -> Self {
-        Self { name, meaning, field: Field::Number(range, field) }
+        Self { name, meaning: Cow::Borrowed(meaning), field: Field::Number(range, field) }
     }
 
     /// The time limit of an episode in control periods of this duration in seconds, at most a day.
@@ -80,7 +84,7 @@ impl<T> SettingRow<T> {
         const DAY_S: f64 = 86_400.0;
         Self {
             name: "time_limit_s",
-            meaning: "Time limit of an episode, in simulated seconds.",
+            meaning: Cow::Borrowed("Time limit of an episode, in simulated seconds."),
             field: Field::Periods(period_s, (DAY_S / period_s).round() as u32, field),
         }
     }
@@ -91,14 +95,14 @@ impl<T> SettingRow<T> {
         meaning: &'static str,
         field: fn(&mut T) -> &mut dyn Choice,
     ) -> Self {
-        Self { name, meaning, field: Field::Choice(field) }
+        Self { name, meaning: Cow::Borrowed(meaning), field: Field::Choice(field) }
     }
 }
 
 impl<T: Clone> SettingRow<T> {
     fn allowed(&self, task: &mut T) -> Allowed {
         match &self.field {
-            Field::Number([low, high], _) | Field::OfRobot([low, high], _) => {
+            Field::Number([low, high], _) | Field::Listed([low, high], ..) | Field::OfRobot([low, high], _) => {
                 Allowed::Continuous { low: *low, high: *high }
             }
             Field::Periods(period_s, most, _) => {
@@ -114,6 +118,7 @@ impl<T: Clone> SettingRow<T> {
     fn value(&self, task: &mut T) -> Option<Value> {
         match &self.field {
             Field::Number(_, field) | Field::Periods(_, _, field) => Some(Value::Number(*field(task))),
+            Field::Listed(_, index, field) => Some(Value::Number(*field(task, *index))),
             Field::OfRobot(_, field) => field(task).map(Value::Number),
             Field::Choice(field) => Some(Value::Category(field(task).word().into())),
         }
@@ -124,7 +129,7 @@ impl<T: Clone> SettingRow<T> {
         SettingSpec {
             name: self.name.into(),
             unit: unit_of(self.name).to_owned(),
-            meaning: self.meaning.to_owned(),
+            meaning: self.meaning.clone().into_owned(),
             allowed: self.allowed(task),
             default: self.value(defaults),
             value: self.value(task),
@@ -136,6 +141,7 @@ impl<T: Clone> SettingRow<T> {
         match (&self.field, value) {
             (Field::Choice(field), Value::Category(word)) => field(task).choose(word),
             (Field::Number(_, field) | Field::Periods(_, _, field), _) => *field(task) = number(value),
+            (Field::Listed(_, index, field), _) => *field(task, *index) = number(value),
             (Field::OfRobot(_, field), _) => *field(task) = Some(number(value)),
             // Not accepted above.
             (Field::Choice(_), _) => {}

@@ -15,12 +15,12 @@ const SPACES: [(&str, &str); 11] = [
     ("ur-wide", include_str!("../../../assets/spaces/ur-wide.toml")),
     ("franka-units", include_str!("../../../assets/spaces/franka-units.toml")),
     ("ur-units", include_str!("../../../assets/spaces/ur-units.toml")),
-    ("stacking", include_str!("stacking/space.toml")),
+    ("stacking", include_str!("../../../assets/spaces/stacking.toml")),
     ("insertion", include_str!("insertion/space.toml")),
 ];
 
 /// Names of the built-in parameter spaces.
-pub fn built_in_spaces() -> impl Iterator<Item = &'static str> {
+pub fn built_in_spaces() -> impl Iterator<Item = &'static str> + Clone {
     SPACES.iter().map(|(name, _)| *name)
 }
 

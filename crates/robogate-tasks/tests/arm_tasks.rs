@@ -7,14 +7,9 @@ use robogate_core::{
     Action, Command, FailureMode, Fault, Observation, Outcome, Policy, Seed, TaskInstance, TaskSpec, check_applied,
     rollout,
 };
-use robogate_tasks::insertion::Insertion;
-use robogate_tasks::pick_place::PickPlace;
-use robogate_tasks::stacking::Stacking;
 use robogate_tasks::{ArmEnvironment, ArmTask, Rig};
 
-use common::{EngineKind, scenario};
-
-const TASKS: [&dyn ArmTask; 3] = [&PickPlace::DEFAULT, &Stacking::DEFAULT, &Insertion::DEFAULT];
+use common::{EngineKind, arm_tasks, scenario};
 
 fn environment(task: &dyn ArmTask, robot: &str) -> ArmEnvironment {
     task.on(EngineKind::Mujoco.robot(robot).engine(), Rig { picture_px: [16; 2], ..Rig::default() }).unwrap()
@@ -48,7 +43,7 @@ impl Policy for Idle {
 
 #[test]
 fn giving_up_ends_an_episode_early() {
-    for task in TASKS {
+    for task in arm_tasks() {
         let mut environment = environment(task, "franka");
         let episode = rollout(&mut environment, &mut Idle::default(), &scenario(0, &[]));
         let limit_s = robogate_core::Environment::task(&environment).time_limit_s;
@@ -62,14 +57,15 @@ fn giving_up_ends_an_episode_early() {
 /// The expert that moves the tool in small steps succeeds where everything is nominal.
 #[test]
 fn tool_experts_succeed() {
-    for task in TASKS {
+    for task in arm_tasks() {
         for robot in ["franka", "ur5e", "ur3e"] {
             // The short arm does not carry over the pile in small steps within the time limit.
             if (task.name(), robot) == ("stacking", "ur3e") {
                 continue;
             }
             let mut environment = environment(task, robot);
-            let mut expert = task.tool_expert(EngineKind::Mujoco.robot(robot).robot).unwrap();
+            let mut expert =
+                task.tool_expert(EngineKind::Mujoco.robot(robot).robot, environment.engine().chain().clone()).unwrap();
             expert.check(robogate_core::Environment::task(&environment)).unwrap();
             for index in 0..2 {
                 let episode = rollout(&mut environment, &mut *expert, &scenario(index, &[]));
@@ -89,7 +85,7 @@ fn unit_parameters_are_applied() {
         ("camera_roll_rad", 0.02),
         ("camera_pitch_rad", -0.01),
     ];
-    for task in TASKS {
+    for task in arm_tasks() {
         for (robot, parameters) in [("franka", fingers.to_vec()), ("ur5e", fingers[..3].to_vec())] {
             let mut environment = environment(task, robot);
             let scenario = scenario(3, &parameters);
@@ -101,7 +97,7 @@ fn unit_parameters_are_applied() {
 
 #[test]
 fn a_joint_that_the_arm_lacks_has_no_bias() {
-    for task in TASKS {
+    for task in arm_tasks() {
         let scenario = scenario(3, &[("unit_bias_7_rad", 0.01)]);
         let fault = robogate_core::Environment::reset(&mut environment(task, "ur5e"), &scenario).unwrap_err();
         assert!(fault.detail.contains("unit_bias_7_rad"), "{}: {fault}", task.name());
@@ -116,7 +112,8 @@ fn impossible_scenarios_are_known() {
         // The vacuum of the cup carries 7.6 kg; a unit may have much less.
         &[("mass_kg", 2.0), ("grip_force_scale", 0.05)],
     ];
-    for (task, (robot, values)) in TASKS.into_iter().zip(["franka", "franka", "ur5e"].into_iter().zip(impossible)) {
+    for (task, (robot, values)) in arm_tasks().into_iter().zip(["franka", "franka", "ur5e"].into_iter().zip(impossible))
+    {
         let environment = environment(task, robot);
         let known = |values| robogate_core::Environment::infeasibility(&environment, &scenario(0, values).requested);
         assert!(known(values).is_some_and(|why| why.condition.contains("heavier")), "{}", task.name());

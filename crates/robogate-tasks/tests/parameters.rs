@@ -5,7 +5,7 @@ mod common;
 
 use std::sync::Arc;
 
-use common::EngineKind;
+use common::{EngineKind, arm_tasks};
 use nalgebra::{Isometry3, Vector3};
 use robogate_core::{
     Allowed, Assignment, ContactPoint, Environment, Fault, FaultKind, ParameterSpec, Scenario, Seed, Value,
@@ -15,9 +15,7 @@ use robogate_physics::{
     Chain, Engine, EngineBuild, FixtureKind, JointTargets, Motion, Primitive, Readback, Robot, Scene, Side, Touches,
     Wrench,
 };
-use robogate_tasks::insertion::Insertion;
 use robogate_tasks::pick_place::PickPlace;
-use robogate_tasks::stacking::Stacking;
 use robogate_tasks::{ArmEnvironment, ArmTask, Rig};
 
 fn engines() -> Vec<EngineKind> {
@@ -28,8 +26,6 @@ fn engines() -> Vec<EngineKind> {
         EngineKind::Rapier,
     ]
 }
-
-const TASKS: [&dyn ArmTask; 3] = [&PickPlace::DEFAULT, &Stacking::DEFAULT, &Insertion::DEFAULT];
 
 /// Robots with every kind of gripper.
 const ROBOTS: [&str; 2] = ["franka", "ur5e"];
@@ -87,7 +83,7 @@ fn rows_are_applied_and_read_back() {
 }
 
 fn pairs() -> impl Iterator<Item = (&'static dyn ArmTask, &'static str)> {
-    TASKS.into_iter().flat_map(|task| ROBOTS.map(|robot| (task, robot)))
+    arm_tasks().into_iter().flat_map(|task| ROBOTS.map(|robot| (task, robot)))
 }
 
 /// A UR has no seventh joint.
@@ -287,7 +283,7 @@ fn every_parameter_is_documented() {
         include_str!("../../../docs/reference/stacking.md"),
         include_str!("../../../docs/reference/insertion.md"),
     ];
-    for (task, page) in TASKS.into_iter().zip(pages) {
+    for (task, page) in arm_tasks().into_iter().zip(pages) {
         for robot in ROBOTS {
             for row in &environment(engines()[0], task, robot).task().parameters {
                 let known = |page: &str| page.contains(&format!("`{}`", row.name));

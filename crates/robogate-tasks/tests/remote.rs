@@ -10,13 +10,17 @@ use robogate_core::{
     ParameterSpace, Policy, Sampler, Scenario, Seed, Start, Step, TaskSpec, Value, rollout, vectors,
 };
 use robogate_physics::{Chain, Engine, GripperCommand, MujocoEngine, Primitive, RapierEngine, Robot, built_in_robot};
+use robogate_tasks::file::{FileTask, shipped};
 use robogate_tasks::insertion::Insertion;
 use robogate_tasks::pick_place::PickPlace;
 use robogate_tasks::remote::{
     Cell, PhysicsHost, RemoteArm, RemoteCollision, RemotePeriod, RemoteReadback, RemoteSight,
 };
-use robogate_tasks::stacking::Stacking;
 use robogate_tasks::{ArmDeclaration, ArmTask, Rig, built_in_space};
+
+fn stacking() -> &'static FileTask {
+    shipped().find(|task| task.name() == "stacking").unwrap()
+}
 
 /// A remote engine without a socket. `tamper` may change its reports.
 struct Remote {
@@ -141,8 +145,8 @@ fn remote_pick_and_place_gives_the_same_episodes() {
 
 #[test]
 fn remote_stacking_gives_the_same_episodes() {
-    same_episodes(&Stacking::DEFAULT, 4, "franka", mujoco);
-    same_episodes(&Stacking::DEFAULT, 4, "ur5e", mujoco);
+    same_episodes(stacking(), 4, "franka", mujoco);
+    same_episodes(stacking(), 4, "ur5e", mujoco);
 }
 
 #[test]
@@ -154,7 +158,7 @@ fn remote_insertion_gives_the_same_episodes() {
 #[test]
 fn remote_rapier_gives_the_same_episodes() {
     same_episodes(&PickPlace::DEFAULT, 6, "franka", rapier);
-    same_episodes(&Stacking::DEFAULT, 3, "franka", rapier);
+    same_episodes(stacking(), 3, "franka", rapier);
 }
 
 /// The settings of the task reach the engine with the cell.
@@ -205,7 +209,7 @@ fn values_that_are_not_applied_are_found() {
         assert_ne!(applied.get(name), Some(&value), "{name}");
     };
     let number = Value::Number;
-    let (pick, stack, insert) = (&PickPlace::DEFAULT, &Stacking::DEFAULT, &Insertion::DEFAULT);
+    let (pick, stack, insert) = (&PickPlace::DEFAULT, stacking(), &Insertion::DEFAULT);
     check(pick, "friction", number(0.7), |held| held.friction *= 1.01);
     check(pick, "mass_kg", number(0.2), |held| held.objects[0].mass_kg *= 1.01);
     check(pick, "placement", Value::Category("left_0".into()), |held| held.objects[0].pose.translation.x += 1e-3);
@@ -224,7 +228,7 @@ fn values_that_are_not_applied_are_found() {
 /// A server takes cells from other programs. One that no engine can set up is a setup fault, and the next one is set up.
 #[test]
 fn impossible_cells_are_rejected() {
-    let mut remote = Remote::new(&Stacking::DEFAULT, mujoco("franka"));
+    let mut remote = Remote::new(stacking(), mujoco("franka"));
     let scenario = &scenarios("stacking", true, 1)[0];
     let good = remote.task.resolve(scenario).unwrap();
     let mut check = |change: fn(&mut Cell), words: &str| {
@@ -261,7 +265,7 @@ fn impossible_cells_are_rejected() {
         let why = read((at, value)).unwrap_err();
         assert!(why.contains(words), "{why}");
     }
-    let mut cup = Remote::new(&Stacking::DEFAULT, mujoco("ur5e"));
+    let mut cup = Remote::new(stacking(), mujoco("ur5e"));
     let mut mixed = good.clone();
     mixed.robot.joints = cup.task.robot().settings.arm.joints.clone();
     let fault = cup.host.reset(&mixed).unwrap_err();

@@ -31,9 +31,9 @@ use robogate_physics::{MujocoEngine, built_in_robot};
 use robogate_risk::{Fitting, Inputs, Learner, RiskModel, Sample};
 use robogate_stats::crossed::crossed_mean;
 use robogate_stats::{Confidence, Interval, Trials, wilson};
+use robogate_tasks::file::shipped;
 use robogate_tasks::insertion::Insertion;
 use robogate_tasks::pick_place::PickPlace;
-use robogate_tasks::stacking::Stacking;
 use robogate_tasks::{ArmTask, Rig};
 
 /// Size of camera images, which nothing reads here.
@@ -132,8 +132,13 @@ fn score(test: &str, partners: &str, runs: &[&str]) -> anyhow::Result<()> {
     let robot = built_in_robot(&dictionary.provenance().robot.name)?;
     let engine = MujocoEngine::new(robot, MujocoEngine::TIME_STEP_S)?;
     let task = dictionary.provenance().task.name;
-    let tasks: [&dyn ArmTask; 3] = [&PickPlace::DEFAULT, &Insertion::DEFAULT, &Stacking::DEFAULT];
-    let of = tasks.into_iter().find(|of| task == *of.name()).with_context(|| format!("unknown task {task}"))?;
+    let tasks: [&dyn ArmTask; 2] = [&PickPlace::DEFAULT, &Insertion::DEFAULT];
+    let from_files = shipped().map(|task| -> &dyn ArmTask { task });
+    let of = tasks
+        .into_iter()
+        .chain(from_files)
+        .find(|of| task == *of.name())
+        .with_context(|| format!("unknown task {task}"))?;
     let rig = Rig { picture_px: [PICTURE_PX; 2], ..Rig::default() };
     let foresight = of.environment(Box::new(engine), rig).map(|of| of.foresight());
     let foresight = foresight.map_err(|why| anyhow!(why))?;

@@ -75,7 +75,9 @@ impl BuiltIn for Cell {
 
     fn expert(&self, arm: Arm) -> anyhow::Result<Option<Box<dyn Policy>>> {
         match arm {
-            Arm::ToolDelta | Arm::OscPose | Arm::ToolPose => Ok(self.task().tool_expert(self.robot().clone())),
+            Arm::ToolDelta | Arm::OscPose | Arm::ToolPose => {
+                Ok(self.task().tool_expert(self.robot().clone(), self.kinematics()?))
+            }
             Arm::JointPositions | Arm::JointDeltas => self.controller().map(Some),
             Arm::Vector => Ok(None),
         }

@@ -70,7 +70,7 @@ impl Judge {
         grip_force_n: f64,
         cameras: Vec<CameraSpec>,
     ) -> Self {
-        let settings = setting_specs(&T::rows(), rules.defaults(), rules).into_iter();
+        let settings = setting_specs(&rules.rows(), rules.defaults(), rules).into_iter();
         let settings = settings.filter_map(|spec| on_robot(spec, &robot, grip_force_n));
         let force_limit_n = rules.limits_forces().then(|| forces::limit_n(&robot, rules.arm().contact_force_limit_n));
         let joints = robot.settings.arm.joints.len();

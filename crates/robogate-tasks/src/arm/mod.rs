@@ -51,6 +51,6 @@ pub(crate) use table::{Access, Acting, InSurroundings, Needs, Row, Surroundings,
 pub(crate) use task::drives_task;
 pub use task::{ArmDeclaration, ArmTask, Parameters};
 pub(crate) use tool_expert::{FINELY, FREELY, ToolExpert, Way};
-pub(crate) use words::{base_spec, briefing, common_measures, instance, measure, mode, not_a_briefing};
+pub(crate) use words::{base_spec, briefing, common_measures, instance, measure, mode};
 #[cfg(feature = "mujoco")]
 pub use worlds::ArmWorlds;

@@ -305,13 +305,6 @@ impl<'a> Planner<'a> {
             Gripper::Suction(_) => cup_yaw(self.robot, self.chain, at),
         }
     }
-
-    /// Height of the tool above the underside of an upright part of this height (m) in the grasp. For fingers it is the
-    /// part's centre, but high enough to keep the fingertips off the table and the palm off the part. For a cup it is
-    /// just above the part.
-    pub(crate) fn grasp_height(&self, height: f64) -> f64 {
-        grasp_height(&self.robot.settings.gripper, height)
-    }
 }
 
 /// The yaw of a cup over (x, y) that keeps the wrist posture of the arm's home position, in radians.
@@ -327,7 +320,9 @@ pub(crate) fn carry_yaw(chain: &Chain, joints: &[f64], yaw: f64, [x, y]: [f64; 2
     yaw + y.atan2(x) - from.y.atan2(from.x)
 }
 
-/// As [`Planner::grasp_height`], for this gripper.
+/// Height of the tool above the underside of an upright part of this height (m) in the grasp. For fingers it is the
+/// part's centre, but high enough to keep the fingertips off the table and the palm off the part. For a cup it is
+/// just above the part.
 pub(crate) fn grasp_height(gripper: &Gripper, height: f64) -> f64 {
     match gripper {
         Gripper::ParallelJaw(jaw) => {

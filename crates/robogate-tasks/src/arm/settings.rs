@@ -98,7 +98,7 @@ pub(crate) use on_arm;
 /// A task with a table of settings.
 pub(crate) trait HasSettings: OnArm + Clone + Sized {
     /// Every setting: those of the arm, and those of the task.
-    fn rows() -> Vec<SettingRow<Self>>;
+    fn rows(&self) -> Vec<SettingRow<Self>>;
 }
 
 /// Names of the settings that depend on the gripper.
@@ -113,7 +113,7 @@ pub(crate) fn rows<T: OnArm>(own: impl IntoIterator<Item = SettingRow<T>>) -> Ve
         SettingRow::time_limit(CONTROL_PERIOD_S, |task: &mut T| &mut task.arm_mut().time_limit_s),
         SettingRow {
             name: GRIP_FORCE,
-            meaning: "Normal force of each pad of the gripper.",
+            meaning: "Normal force of each pad of the gripper.".into(),
             field: Field::OfRobot([0.0, 1e4], |task: &mut T| &mut task.arm_mut().grip_force_n),
         },
         SettingRow::choice(
@@ -124,8 +124,10 @@ pub(crate) fn rows<T: OnArm>(own: impl IntoIterator<Item = SettingRow<T>>) -> Ve
         ),
         SettingRow {
             name: FORCE_LIMIT,
-            meaning: "A contact of the robot with more force is a failure (struck). The force of a gripper that closes is \
-                      added. Default: `collision_force_n` of the robot's file, or 150 N.",
+            meaning:
+                "A contact of the robot with more force is a failure (struck). The force of a gripper that closes is \
+                      added. Default: `collision_force_n` of the robot's file, or 150 N."
+                    .into(),
             field: Field::OfRobot([1.0, 1e6], |task: &mut T| &mut task.arm_mut().contact_force_limit_n),
         },
         SettingRow::choice(

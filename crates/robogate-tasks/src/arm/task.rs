@@ -78,7 +78,7 @@ pub trait ArmDeclaration: Send + Sync {
     ///
     /// # Errors
     /// A setup fault if the details are not those of this task.
-    fn first_part(&self, instance: &TaskInstance) -> Result<[f64; 4], Fault>;
+    fn first_part(&self, instance: &TaskInstance, robot: &Robot) -> Result<[f64; 4], Fault>;
 
     /// The claims about the physics of this task with this gripper.
     fn own_claims(&self, gripper: &Gripper) -> Vec<Claim>;
@@ -92,7 +92,7 @@ pub trait ArmDeclaration: Send + Sync {
     fn controller(&self, robot: Robot, chain: Chain) -> Box<dyn Policy>;
 
     /// The controller that moves the tool in small steps, if the task has one.
-    fn tool_expert(&self, robot: Robot) -> Option<Box<dyn Policy>>;
+    fn tool_expert(&self, robot: Robot, chain: Chain) -> Option<Box<dyn Policy>>;
 }
 
 /// The parameters of a task for an arm.
@@ -209,7 +209,7 @@ pub trait ArmTask: ArmDeclaration {
 
 impl<R: Rules + HasSettings + 'static> ArmTask for R {
     fn settings(&self) -> Vec<SettingSpec> {
-        setting_specs(&R::rows(), self.defaults(), self)
+        setting_specs(&self.rows(), self.defaults(), self)
     }
 
     fn only_here(&self) -> Option<&'static str> {
@@ -217,7 +217,7 @@ impl<R: Rules + HasSettings + 'static> ArmTask for R {
     }
 
     fn with(&self, settings: &Assignment) -> Result<Arc<dyn ArmTask>, String> {
-        Ok(Arc::new(with_settings(self.name(), &R::rows(), self, settings)?))
+        Ok(Arc::new(with_settings(self.name(), &self.rows(), self, settings)?))
     }
 
     fn on(&self, engine: Box<dyn Engine>, rig: Rig) -> Result<ArmEnvironment, String> {

@@ -4,6 +4,7 @@
 //! waypoint. So it also works through an arm that lags behind its commands.
 
 use std::f64::consts::{FRAC_PI_2, PI};
+use std::sync::Arc;
 
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use robogate_core::{Action, Command, Fault, FaultKind, Observation, Policy, Seed, TaskInstance, TaskSpec, Word};
@@ -91,10 +92,10 @@ impl Way {
 }
 
 /// The way of the tool in an episode of a task.
-pub(crate) type WayOf = fn(&Robot, &TaskInstance) -> Result<Way, Fault>;
+pub(crate) type WayOf = Arc<dyn Fn(&Robot, &TaskInstance) -> Result<Way, Fault> + Send + Sync>;
 
 /// The expert.
-#[derive(Debug, Clone)]
+#[derive(Clone)]
 pub(crate) struct ToolExpert {
     /// The task that it drives.
     task: &'static str,
@@ -156,7 +157,11 @@ impl Policy for ToolExpert {
 
     fn reset(&mut self, task: &TaskSpec, instance: &TaskInstance, _: Seed) -> Result<(), Fault> {
         let way = (self.way_of)(&self.robot, instance)?;
-        *self = Self { way, period_s: task.control_period_s, ..Self::new(self.task, self.way_of, self.robot.clone()) };
+        *self = Self {
+            way,
+            period_s: task.control_period_s,
+            ..Self::new(self.task, Arc::clone(&self.way_of), self.robot.clone())
+        };
         Ok(())
     }
 

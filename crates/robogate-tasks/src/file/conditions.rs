@@ -4,10 +4,11 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use robogate_physics::Side;
 
 use super::names::{Names, Region};
-use super::numbers::{Frame, Layout, Place};
+use super::numbers::{Frame, Layout, PartNumbers, Place};
+use super::statics::{self, Level};
 use super::syntax::{Node, Operator, What, Wrong};
 use super::units::Dimension;
-use crate::arm::{Bodies, Sight};
+use crate::arm::{Bodies, Sight, touching};
 
 /// A body is at rest below this speed, in m/s ...
 const REST_SPEED: f64 = 0.01;
@@ -47,8 +48,17 @@ pub(super) enum Value {
     Speed(usize),
     Force(Body, Body),
     Distance(Place, Place),
-    Height(Place),
+    /// A coordinate of a place in the frame of the robot's base: x, y or z.
+    Coordinate(Place, usize),
+    /// The length of the vector with these two coordinates.
+    Hypot(Box<Value>, Box<Value>),
     Tilt(usize),
+    /// How far the part in the hand has moved there. `NaN` without one.
+    Slip,
+    /// The largest contact force on the robot, less the grip force while the gripper closes or holds.
+    Press,
+    /// How far a stack of these parts is from tipping.
+    Stability(Vec<usize>),
     Moved(usize),
     Time,
     Binary(Operator, Box<Value>, Box<Value>),
@@ -61,7 +71,19 @@ pub(super) enum Condition {
     Contact(Body, Body),
     Held(usize),
     Dropped(usize),
+    /// The gripper closed without a part.
+    Missed,
+    /// A part left the closed gripper.
+    Lost(usize),
+    /// The gripper let go of a part, and has not closed since.
+    Released(usize),
+    /// The robot touches the part that the gripper acts on, and it is this one.
+    Touched(usize),
+    /// The part that the gripper acts on is this one, and touches something else than the robot.
+    Supported(usize),
     AtRest(usize),
+    /// The condition with a name whose result this slot has: the time of the step if it holds there.
+    Named(usize),
     Inside(Place, Region),
     /// A part touches a body below its middle.
     On(usize, Body, Place),
@@ -82,14 +104,35 @@ pub(super) enum Condition {
 pub(super) struct Now<'a> {
     pub(super) sight: &'a Sight<'a>,
     pub(super) layout: &'a Layout,
-    /// Values of the parameters.
+    /// Values of the parameters and settings.
     pub(super) values: &'a [f64],
+    pub(super) parts: &'a [PartNumbers],
     /// Positions of the parts at the start.
     pub(super) starts: &'a [Vector3<f64>],
     /// The part in the hand.
     pub(super) held: Option<usize>,
+    /// What the gripper did so far.
+    pub(super) hand: &'a Hand,
+}
+
+/// What the gripper did so far.
+#[derive(Debug, Default)]
+pub(super) struct Hand {
+    /// The part that the gripper acts on.
+    pub(super) selected: usize,
     /// Whether each part was lost, or fell after its release.
-    pub(super) dropped: &'a [bool],
+    pub(super) dropped: Vec<bool>,
+    pub(super) lost: Vec<bool>,
+    /// Where each part was released for the last time, in metres.
+    pub(super) released_at: Vec<Option<Vector3<f64>>>,
+    /// The part that it let go of, if it has not closed since.
+    pub(super) released: Option<usize>,
+    /// Whether it closed without a part.
+    pub(super) missed: bool,
+    /// How far the part in the hand has moved there, in metres.
+    pub(super) slip_m: Option<f64>,
+    /// The grip force while it closes or holds, in newtons.
+    pub(super) grip_n: f64,
 }
 
 impl Now<'_> {
@@ -103,11 +146,29 @@ impl Now<'_> {
             Frame::Tool => self.sight.view.tcp,
             Frame::Fixture(of) => self.layout.fixture(of, self.sight.time),
             Frame::Part(of) => self.bodies().pose(of),
+            Frame::Release(of) => {
+                let at = self.hand.released_at[of].unwrap_or_else(|| self.bodies().pose(of).translation.vector);
+                Isometry3::from_parts(at.into(), nalgebra::UnitQuaternion::identity())
+            }
         }
     }
 
     fn point(&self, place: &Place) -> Point3<f64> {
-        self.frame(place.on) * Point3::from(place.point)
+        let at = self.frame(place.on) * Point3::from(place.point);
+        match &place.shift[..] {
+            [x, y, z] => at + Vector3::new(x.now(self), y.now(self), z.now(self)),
+            _ => at,
+        }
+    }
+
+    /// How far a stack of cubes is from tipping, in metres.
+    fn stability(&self, parts: &[usize]) -> f64 {
+        let level = |of: &usize| {
+            let at = self.bodies().pose(*of).translation;
+            Level { at: [at.x, at.y], mass_kg: self.parts[*of].mass_kg }
+        };
+        let size = parts.first().and_then(|of| self.parts[*of].size_m());
+        size.map_or(f64::NAN, |size| statics::margin(&parts.iter().map(level).collect::<Vec<_>>(), size))
     }
 
     /// Force between two bodies, in newtons. `None` if they do not touch.
@@ -141,7 +202,11 @@ impl Value {
             },
             Self::Force(one, other) => now.force(one, other).unwrap_or(0.0),
             Self::Distance(one, other) => (now.point(one) - now.point(other)).norm(),
-            Self::Height(place) => now.point(place).z,
+            Self::Coordinate(place, axis) => now.point(place)[*axis],
+            Self::Hypot(one, other) => one.now(now).hypot(other.now(now)),
+            Self::Slip => now.hand.slip_m.unwrap_or(f64::NAN),
+            Self::Press => now.sight.view.touches.peak_force.unwrap_or(0.0) - now.hand.grip_n,
+            Self::Stability(parts) => now.stability(parts),
             Self::Tilt(of) => (now.bodies().pose(*of).rotation * Vector3::z()).z.clamp(-1.0, 1.0).acos(),
             Self::Moved(of) => (now.bodies().pose(*of).translation.vector - now.starts[*of]).norm(),
             Self::Time => now.sight.time,
@@ -161,12 +226,22 @@ impl Value {
         }
     }
 
-    fn has_time(&self) -> bool {
-        match self {
-            Self::Time => true,
-            Self::Binary(_, one, other) => one.has_time() || other.has_time(),
-            _ => false,
-        }
+    /// Whether it is, or contains, a value of this kind.
+    fn has(&self, kind: &dyn Fn(&Self) -> bool) -> bool {
+        kind(self)
+            || match self {
+                Self::Binary(_, one, other) | Self::Hypot(one, other) => one.has(kind) || other.has(kind),
+                _ => false,
+            }
+    }
+
+    pub(super) fn depends_on(&self, parameter: usize) -> bool {
+        self.has(&|value| *value == Self::Parameter(parameter))
+    }
+
+    /// Whether only an engine of this process reports it.
+    pub(super) fn is_local(&self) -> bool {
+        self.has(&|value| matches!(value, Self::Joint(_) | Self::Force(..)))
     }
 }
 
@@ -188,7 +263,16 @@ impl Condition {
             Self::Less(one, other) => one.now(now) < other.now(now),
             Self::Contact(one, other) => now.force(one, other).is_some(),
             Self::Held(of) => now.held == Some(*of),
-            Self::Dropped(of) => now.dropped[*of],
+            Self::Dropped(of) => now.hand.dropped[*of],
+            Self::Missed => now.hand.missed,
+            Self::Lost(of) => now.hand.lost[*of],
+            Self::Released(of) => now.hand.released == Some(*of),
+            Self::Touched(of) => {
+                let view = now.sight.view;
+                now.hand.selected == *of && (view.touches.body_on_object || touching(view))
+            }
+            Self::Supported(of) => now.hand.selected == *of && now.sight.view.touches.object_on_fixture,
+            Self::Named(slot) => memory[*slot].is_finite(),
             Self::AtRest(of) => {
                 let (linear, angular) = now.bodies().velocity(*of);
                 linear.norm() < REST_SPEED && angular.norm() < REST_SPIN
@@ -230,16 +314,34 @@ impl Condition {
         }
     }
 
-    /// Whether it can change while nothing moves and nothing touches anew.
-    pub(super) fn can_change_at_rest(&self, memory: &[f64]) -> bool {
+    /// Whether it can change while nothing moves and nothing touches anew, after this time (s).
+    pub(super) fn can_change_at_rest(&self, memory: &[f64], values: &[f64], time: f64) -> bool {
+        let can = |of: &Self| of.can_change_at_rest(memory, values, time);
+        let timed = |value: &Value| value.has(&|value| *value == Value::Time);
         match self {
-            Self::Less(one, other) => one.has_time() || other.has_time(),
-            Self::And(one, other) | Self::Or(one, other) | Self::Before(one, other, _) => {
-                one.can_change_at_rest(memory) || other.can_change_at_rest(memory)
+            Self::Less(one, other) => timed(one) || timed(other),
+            Self::And(one, other) | Self::Or(one, other) | Self::Before(one, other, _) => can(one) || can(other),
+            Self::Not(of) | Self::Once(of, _) => can(of),
+            // A time that has passed has no second effect.
+            Self::For(of, duration, slot) => {
+                let passes = duration.constant(values).is_none_or(|duration| time - memory[*slot] < duration - 1e-9);
+                can(of) || memory[*slot].is_finite() && passes
             }
-            Self::Not(of) | Self::Once(of, _) => of.can_change_at_rest(memory),
-            Self::For(of, _, slot) => of.can_change_at_rest(memory) || memory[*slot].is_finite(),
             Self::Within(..) => true,
+            _ => false,
+        }
+    }
+
+    /// Whether only an engine of this process reports what it depends on.
+    pub(super) fn is_local(&self) -> bool {
+        match self {
+            Self::Contact(..) | Self::On(..) => true,
+            Self::Less(one, other) => one.is_local() || other.is_local(),
+            Self::And(one, other) | Self::Or(one, other) | Self::Before(one, other, _) => {
+                one.is_local() || other.is_local()
+            }
+            Self::Within(one, _, other, _) => one.is_local() || other.is_local(),
+            Self::Not(of) | Self::Once(of, _) | Self::For(of, ..) => of.is_local(),
             _ => false,
         }
     }
@@ -263,7 +365,13 @@ impl Condition {
 }
 
 /// The functions that are values, with their arguments.
-const VALUES: [(&str, &str); 8] = [
+const VALUES: [(&str, &str); 14] = [
+    ("x", "x(PLACE)"),
+    ("y", "y(PLACE)"),
+    ("hypot", "hypot(VALUE, VALUE)"),
+    ("slip", "slip()"),
+    ("press", "press()"),
+    ("stability", "stability(PART, PART, ...)"),
     ("joint", "joint(PART)"),
     ("speed", "speed(PART)"),
     ("force", "force(BODY, BODY)"),
@@ -275,7 +383,12 @@ const VALUES: [(&str, &str); 8] = [
 ];
 
 /// The functions that are conditions, with their arguments.
-const CONDITIONS: [(&str, &str); 8] = [
+const CONDITIONS: [(&str, &str); 13] = [
+    ("missed", "missed()"),
+    ("lost", "lost(PART)"),
+    ("released", "released(PART)"),
+    ("touched", "touched(PART)"),
+    ("supported", "supported(PART)"),
     ("contact", "contact(BODY, BODY)"),
     ("held", "held(PART)"),
     ("dropped", "dropped(PART)"),
@@ -326,10 +439,30 @@ impl Compiler<'_> {
                 Ok(Condition::Within(self.boxed(one)?, self.duration(time)?, self.boxed(other)?, self.slot()))
             }
             What::Call(name, arguments) => self.call(node.at, name, arguments),
+            What::Name(name) if !self.names.conditions.is_empty() => {
+                let known = self.names.conditions.iter();
+                let found = known.clone().find(|(known, _)| known == name).map(|(_, slot)| Condition::Named(*slot));
+                let hint = || robogate_core::hint(name, known.map(|(known, _)| known.as_str()));
+                found.ok_or_else(|| (node.at, format!("unknown condition `{name}`: {}", hint())))
+            }
             What::Number(_) | What::Parameter(_) | What::Name(_) | What::Negative(_) | What::Binary(..) => {
                 Err((node.at, "found a value. Expected a condition, such as `joint(drawer) > 10 cm`".to_owned()))
             }
         }
+    }
+
+    /// A place: a name, or `offset(PLACE, X, Y, Z)`.
+    ///
+    /// # Errors
+    /// The first problem.
+    pub(super) fn place(&mut self, node: &Node) -> Result<Place, Wrong> {
+        let What::Call(name, arguments) = &node.what else { return self.names.place(node) };
+        let (true, [place, by @ ..]) = (name == "offset" && arguments.len() == 4, &arguments[..]) else {
+            return Err((node.at, "expected a place, such as `lid` or `offset(lid, 0 cm, 0 cm, 5 cm)`".to_owned()));
+        };
+        let place = self.names.place(place)?;
+        let shift = by.iter().map(|by| self.constant(by, Dimension::LENGTH)).collect::<Result<_, _>>()?;
+        Ok(Place { shift, ..place })
     }
 
     fn duration(&mut self, node: &Node) -> Result<Value, Wrong> {
@@ -357,9 +490,14 @@ impl Compiler<'_> {
         match (name, arguments) {
             ("contact", [one, other]) => Ok(Condition::Contact(names.body(one)?, names.body(other)?)),
             ("held", [part]) => Ok(Condition::Held(names.part(part)?)),
+            ("missed", []) => Ok(Condition::Missed),
+            ("lost", [part]) => Ok(Condition::Lost(names.part(part)?)),
+            ("released", [part]) => Ok(Condition::Released(names.part(part)?)),
+            ("touched", [part]) => Ok(Condition::Touched(names.part(part)?)),
+            ("supported", [part]) => Ok(Condition::Supported(names.part(part)?)),
             ("dropped", [part]) => Ok(Condition::Dropped(names.part(part)?)),
             ("at_rest", [part]) => Ok(Condition::AtRest(names.part(part)?)),
-            ("inside", [place, region]) => Ok(Condition::Inside(names.place(place)?, names.region(region)?)),
+            ("inside", [place, region]) => Ok(Condition::Inside(self.place(place)?, names.region(region)?)),
             ("on", [part, body]) => Ok(Condition::On(names.part(part)?, names.body(body)?, names.place(body)?)),
             ("upright", [part]) => Ok(Condition::Less(Value::Tilt(names.part(part)?), Value::Constant(UPRIGHT_RAD))),
             ("once", [condition]) => Ok(Condition::Once(self.boxed(condition)?, self.slot())),
@@ -408,9 +546,24 @@ impl Compiler<'_> {
                 }
                 ("force", [one, other]) => Ok((Value::Force(names.body(one)?, names.body(other)?), Dimension::FORCE)),
                 ("distance", [one, other]) => {
-                    Ok((Value::Distance(names.place(one)?, names.place(other)?), Dimension::LENGTH))
+                    Ok((Value::Distance(self.place(one)?, self.place(other)?), Dimension::LENGTH))
                 }
-                ("height", [place]) => Ok((Value::Height(names.place(place)?), Dimension::LENGTH)),
+                ("x", [place]) => Ok((Value::Coordinate(self.place(place)?, 0), Dimension::LENGTH)),
+                ("y", [place]) => Ok((Value::Coordinate(self.place(place)?, 1), Dimension::LENGTH)),
+                ("height", [place]) => Ok((Value::Coordinate(self.place(place)?, 2), Dimension::LENGTH)),
+                ("hypot", [one, other]) => {
+                    let ((one, first), (other, second)) = (self.value(one)?, self.value(other)?);
+                    if first != second {
+                        return Err((node.at, format!("the sides do not fit: {first}, and {second}")));
+                    }
+                    Ok((Value::Hypot(Box::new(one), Box::new(other)), first))
+                }
+                ("slip", []) => Ok((Value::Slip, Dimension::LENGTH)),
+                ("press", []) => Ok((Value::Press, Dimension::FORCE)),
+                ("stability", parts @ [_, _, ..]) => {
+                    let parts = parts.iter().map(|part| names.part(part)).collect::<Result<_, _>>()?;
+                    Ok((Value::Stability(parts), Dimension::LENGTH))
+                }
                 ("tilt", [part]) => Ok((Value::Tilt(names.part(part)?), Dimension::ANGLE)),
                 ("moved", [part]) => Ok((Value::Moved(names.part(part)?), Dimension::LENGTH)),
                 ("time", []) => Ok((Value::Time, Dimension::TIME)),

@@ -20,15 +20,20 @@ impl<'de> Deserialize<'de> for Text {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let spanned = Spanned::<toml::Value>::deserialize(deserializer)?;
         let at = spanned.span().start;
-        let text = match spanned.into_inner() {
-            toml::Value::String(text) => text,
-            number @ (toml::Value::Integer(_) | toml::Value::Float(_)) => number.to_string(),
+        Self::new(spanned.into_inner(), at)
+    }
+}
+
+impl Text {
+    fn new<E: serde::de::Error>(value: toml::Value, at: usize) -> Result<Self, E> {
+        match value {
+            toml::Value::String(text) => Ok(Self { text, at }),
+            number @ (toml::Value::Integer(_) | toml::Value::Float(_)) => Ok(Self { text: number.to_string(), at }),
             other => {
                 let found = other.type_str();
-                return Err(serde::de::Error::custom(format!("found {found}. Expected a text in quotes or a number")));
+                Err(E::custom(format!("found {found}. Expected a text in quotes or a number")))
             }
-        };
-        Ok(Self { text, at })
+        }
     }
 }
 
@@ -42,6 +47,32 @@ impl JsonSchema for Text {
             "type": ["string", "number"],
             "description": "A number, numbers with a unit such as `40, 30, 2 cm`, a name, or an expression."
         })
+    }
+}
+
+/// One text, or a list of them.
+#[derive(Debug)]
+pub(super) struct Texts(pub(super) Vec<Text>);
+
+impl<'de> Deserialize<'de> for Texts {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let spanned = Spanned::<toml::Value>::deserialize(deserializer)?;
+        let at = spanned.span().start;
+        match spanned.into_inner() {
+            toml::Value::Array(values) => values.into_iter().map(|value| Text::new(value, at)).collect(),
+            value => Text::new(value, at).map(|text| vec![text]),
+        }
+        .map(Self)
+    }
+}
+
+impl JsonSchema for Texts {
+    fn schema_name() -> Cow<'static, str> {
+        "Texts".into()
+    }
+
+    fn json_schema(_: &mut SchemaGenerator) -> Schema {
+        json_schema!({ "type": ["string", "array"], "items": { "type": "string" } })
     }
 }
 
@@ -77,6 +108,24 @@ pub struct Document {
     /// What varies between episodes.
     #[serde(default)]
     pub(super) parameter: Vec<ParameterTable>,
+    /// A parameter that is a word: which parts have which roles.
+    pub(super) choice: Option<ChoiceTable>,
+    /// Numbers of the task that a user can set with `--set`, the same in all episodes.
+    #[serde(default)]
+    pub(super) setting: Vec<SettingTable>,
+    /// Numbers of bodies that follow from parameters.
+    #[serde(default)]
+    pub(super) set: Vec<SetTable>,
+    /// The built-in parameter space that campaigns sample. Default: the whole range of every parameter of the file.
+    pub(super) space: Option<Text>,
+    /// Conditions with a name, which other conditions below them can contain.
+    #[serde(default)]
+    pub(super) condition: Vec<ConditionTable>,
+    /// What is known about an episode before it runs: draws, and features for the risk model. The name of one that the program
+    /// has: `stack` knows how the expert stacks cubes.
+    pub(super) foresight: Option<Text>,
+    /// The built-in suite of the task, if it has one.
+    pub(super) suite: Option<Text>,
     /// When the task is done.
     pub(super) success: SuccessTable,
     /// Failures. The first one that holds ends the episode.
@@ -104,6 +153,10 @@ pub(super) struct SceneTable {
     pub(super) friction: Option<Text>,
     /// Gravity. Default: 9.81 m/s^2.
     pub(super) gravity: Option<Text>,
+    /// Whether an arm with less than 0.6 m of reach works on a smaller layout: the positions x and y of fixtures and of parts
+    /// in the frame of the robot's base are multiplied by 0.7. Default: no.
+    #[serde(default)]
+    pub(super) fit_reach: bool,
 }
 
 /// A body that stands still or moves by a law.
@@ -254,11 +307,64 @@ pub(super) struct ParameterTable {
     pub(super) told: Option<bool>,
 }
 
+/// A parameter that is a word: which parts have which roles. Conditions, skills and `[[set]]` can name a role instead of a part.
+#[derive(Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ChoiceTable {
+    /// The name of the parameter.
+    pub(super) name: Text,
+    /// The roles: `bottom, middle, top`.
+    pub(super) roles: Text,
+    /// For each word the parts that have the roles: `abc = "a, b, c"`. The policy is told the word.
+    pub(super) words: BTreeMap<String, Text>,
+    /// The nominal word.
+    pub(super) nominal: Text,
+    /// The meaning, in one sentence.
+    #[serde(default)]
+    pub(super) meaning: String,
+    /// The family of perturbations that it belongs to.
+    pub(super) family: Option<Text>,
+}
+
+/// A number of the task that a user can set with `--set`. Conditions and skills contain it like a parameter: `{tolerance_m}`.
+#[derive(Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct SettingTable {
+    /// The name, which ends with the SI unit: `tolerance_m`.
+    pub(super) name: Text,
+    /// Smallest and largest value: `0.1, 50 mm`.
+    pub(super) range: Text,
+    pub(super) default: Text,
+    /// The meaning, in one sentence.
+    #[serde(default)]
+    pub(super) meaning: String,
+}
+
+/// Numbers of bodies that follow from parameters.
+#[derive(Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct SetTable {
+    /// What it sets, with commas between: `left.mass, right.mass`.
+    pub(super) numbers: Text,
+    /// The value: `2 * {mass_kg}`.
+    pub(super) to: Text,
+}
+
+/// A condition with a name.
+#[derive(Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ConditionTable {
+    pub(super) name: Text,
+    pub(super) when: Text,
+}
+
 /// When the task is done.
 #[derive(Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub(super) struct SuccessTable {
     pub(super) when: Text,
+    /// Parts that every policy must grasp and carry: `lid, box`. A scenario in which the robot cannot is not feasible.
+    pub(super) carried: Option<Text>,
 }
 
 /// A failure.
@@ -267,6 +373,9 @@ pub(super) struct SuccessTable {
 pub(super) struct FailureTable {
     pub(super) name: Text,
     pub(super) when: Text,
+    /// Whether it does not end the episode, but names the failure of an episode that reaches the time limit. Default: no.
+    #[serde(default)]
+    pub(super) at_limit: bool,
     #[serde(default)]
     pub(super) severity: Severity,
     /// What happened, in one sentence.
@@ -288,8 +397,9 @@ pub(super) struct StageTable {
 pub(super) struct MeasureTable {
     /// The name, which ends with the SI unit: `pull_n`.
     pub(super) name: Text,
-    /// `max VALUE`, `min VALUE`, `final VALUE`, or `first CONDITION` for the time at which it first held.
-    pub(super) value: Text,
+    /// `max VALUE`, `min VALUE`, `final VALUE`, or `first CONDITION` for the time at which it first held. A value counts in all
+    /// steps, or with `when CONDITION` after it in those in which the condition holds. A list of several texts is one measure.
+    pub(super) value: Texts,
     #[serde(default)]
     pub(super) better: Better,
     /// The meaning, in one sentence.

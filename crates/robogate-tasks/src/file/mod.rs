@@ -4,9 +4,11 @@
 //! [`crate::ArmTask`] like the built-in ones. The declaration of the task contains the text of the file, so that every record,
 //! and all evidence, contains the task. A file has no code, and its size is limited.
 
+mod cases;
 mod conditions;
 mod document;
 mod expert;
+mod foresight;
 mod lint;
 mod model;
 mod moving;
@@ -15,17 +17,21 @@ mod numbers;
 mod parameters;
 mod problem;
 mod referee;
+mod skills;
+mod stack_claims;
+pub mod statics;
 mod syntax;
 mod targets;
 mod units;
+mod way;
 
 use std::collections::BTreeMap;
-use std::sync::Arc;
+use std::sync::{Arc, LazyLock};
 
 use nalgebra::Isometry3;
 use robogate_core::{
     Assignment, Better, CameraSpec, FailureMode, Fault, FaultKind, Foresight, Infeasibility, ParameterSpace, Policy,
-    Pose, Scenario, Severity, Stream, TaskInstance, TaskSpec,
+    Pose, Scenario, Severity, Stream, TaskInstance, TaskSpec, Word,
 };
 use robogate_physics::{
     Chain, Color, Fixture, FixtureKind, FreeBody, Gripper, MassProperties, Object, Robot, Scene, Visual, pose,
@@ -36,17 +42,19 @@ use serde_json::json;
 pub use document::Document;
 pub use problem::Problem;
 
-use self::expert::Expert;
-use self::model::{Model, braces};
+use self::expert::{Cell, Expert};
+use self::model::{Model, SettingModel, braces};
 use self::names::Region;
 use self::numbers::{Draws, Layout, Numbers};
 use self::referee::{COLLISION, Referee, STAGES};
+use self::skills::Skill;
 use crate::arm::claims::Claim;
 use crate::arm::{
-    ArmDeclaration, ArmSettings, GRIP_THRESHOLD_M, HasSettings, OnArm, Parameters, Resolved, Rules, base_spec,
-    briefing, common_measures, disc_point, encoder_bias, instance, measure, mode, rows,
+    ArmDeclaration, ArmSettings, GRIP_THRESHOLD_M, HasSettings, Load, OnArm, Parameters, Resolved, Rules, ToolExpert,
+    base_spec, briefing, cannot_carry, common_measures, disc_point, encoder_bias, instance, measure, mode,
+    out_of_reach, rows,
 };
-use crate::settings::SettingRow;
+use crate::settings::{Field, SettingRow};
 
 /// The name of the file in a task's folder.
 pub const FILE: &str = "task.toml";
@@ -60,10 +68,22 @@ const COLORS: [Color; 4] = [Color([58, 110, 165]), Color([200, 60, 40]), Color([
 /// How often starts in regions are drawn until no two parts overlap.
 const MOST_DRAWS: usize = 1000;
 
+/// The files of the built-in tasks.
+const SHIPPED: [&str; 1] = [include_str!("../../../../assets/tasks/stacking/task.toml")];
+
+/// The built-in tasks from files.
+pub fn shipped() -> impl Iterator<Item = &'static FileTask> {
+    static TASKS: LazyLock<Vec<FileTask>> =
+        LazyLock::new(|| SHIPPED.iter().filter_map(|text| FileTask::read(text).ok()).collect());
+    TASKS.iter()
+}
+
 /// A task for an arm from a file.
 #[derive(Debug, Clone)]
 pub struct FileTask {
     arm: ArmSettings,
+    /// Values of the settings of the file.
+    settings: Vec<f64>,
     model: Arc<Model>,
 }
 
@@ -73,8 +93,13 @@ impl FileTask {
     /// # Errors
     /// Every problem that was found.
     pub fn read(text: &str) -> Result<Self, Vec<Problem>> {
-        let model = Arc::new(Model::read(text)?);
-        Ok(Self { arm: ArmSettings::lasting(model.time_limit_s), model })
+        Ok(Self::of(Arc::new(Model::read(text)?)))
+    }
+
+    /// The task with the default of each setting.
+    fn of(model: Arc<Model>) -> Self {
+        let settings = model.settings.iter().map(|setting| setting.default).collect();
+        Self { arm: ArmSettings::lasting(model.time_limit_s), settings, model }
     }
 
     /// The task of a declaration that contains its file. `None` for another declaration.
@@ -89,7 +114,12 @@ impl FileTask {
 
     /// Whether the file has an expert.
     pub fn has_expert(&self) -> bool {
-        self.model.skills.is_some()
+        self.model.has_expert()
+    }
+
+    /// The settings of the file with their values.
+    pub fn own_settings(&self) -> impl Iterator<Item = (&'static str, f64)> {
+        self.model.settings.iter().map(|setting| setting.name.as_str()).zip(self.settings.iter().copied())
     }
 
     /// Whether a fixture moves.
@@ -106,6 +136,46 @@ impl FileTask {
     /// reach.
     pub fn lint(&self, robot: &Robot, chain: &Chain) -> Vec<Problem> {
         lint::lint(&self.model, robot, chain)
+    }
+
+    /// The number of roles of the task's choice.
+    fn roles(&self) -> usize {
+        self.model.choice.as_ref().map_or(0, |choice| choice.roles.len())
+    }
+
+    /// The parts that have the roles with this word of the choice.
+    fn order(&self, word: usize) -> &[usize] {
+        self.model.choice.as_ref().and_then(|choice| choice.words.get(word)).map_or(&[], |(_, parts)| parts)
+    }
+
+    /// The numbers and poses of an episode.
+    ///
+    /// # Errors
+    /// A setup fault if the scenario cannot be set up.
+    fn drawn(&self, scenario: &Scenario, robot: &Robot) -> Result<Drawn, Fault> {
+        let mut numbers = self.model.numbers(&scenario.requested, &self.settings, robot)?;
+        numbers.around.encoders = encoder_bias(scenario, robot, 1.0);
+        let draws = self.draws(scenario, &numbers)?;
+        let layout = Layout::new(&numbers, &self.model.parents(), &draws);
+        Ok(Drawn { numbers, draws, layout })
+    }
+
+    fn briefing(&self, numbers: &Numbers, layout: &Layout) -> Briefing {
+        let model = &self.model;
+        let told = model.parameters.iter().zip(&numbers.values).filter(|(parameter, _)| parameter.told);
+        let nominal = Layout::new(numbers, &model.parents(), &vec![Draws::default(); model.parts.len()]).parts;
+        let at = |of: usize| match model.parts[of].start {
+            Some(_) => Some(pose(&layout.parts[of])),
+            // The place of a part follows the reach of the arm.
+            None => model.document.scene.fit_reach.then(|| pose(&nominal[of])),
+        };
+        let starts = model.parts.iter().enumerate().filter_map(|(of, part)| Some((part.name.clone(), at(of)?)));
+        let word = model.choice.as_ref().and_then(|choice| choice.words.get(numbers.word));
+        Briefing {
+            parameters: told.map(|(parameter, value)| (parameter.name.to_string(), *value)).collect(),
+            choice: word.map(|(word, _)| word.clone()).unwrap_or_default(),
+            parts: starts.collect(),
+        }
     }
 
     /// The draws of an episode.
@@ -156,7 +226,7 @@ impl FileTask {
                 let [x, y, _] = part.primitive.half_extent();
                 part.pose.translation.vector.xy().norm() + x.hypot(y)
             };
-            self.model.parts[index].shapes.iter().map(reach).fold(0.0, f64::max)
+            numbers.parts[index].shapes.iter().map(reach).fold(0.0, f64::max)
         };
         let near = |one: usize, other: usize| {
             let off = layout.parts[one].translation.vector - layout.parts[other].translation.vector;
@@ -170,10 +240,10 @@ impl FileTask {
         let model = &self.model;
         let body = |index: usize| {
             let (part, own) = (&model.parts[index], &numbers.parts[index]);
-            let mass = MassProperties::homogeneous(&part.shapes, own.mass_kg);
+            let mass = MassProperties::homogeneous(&own.shapes, own.mass_kg);
             FreeBody {
                 name: part.name.clone(),
-                object: Object { parts: part.shapes.clone(), mass, joint: own.joint },
+                object: Object { parts: own.shapes.clone(), mass, joint: own.joint },
                 pose: layout.parts[index],
                 color: part.color.unwrap_or(COLORS[index % COLORS.len()]),
             }
@@ -206,8 +276,12 @@ impl FileTask {
     }
 
     fn instruction(&self, numbers: &Numbers) -> String {
-        let mut text = self.model.instruction.clone();
-        for name in braces(&self.model.instruction) {
+        let mut text = self.model.document.instruction.text.clone();
+        for name in braces(&self.model.document.instruction.text) {
+            if let Some(part) = self.model.in_role(numbers.word, name) {
+                text = text.replace(&format!("{{{name}}}"), &self.model.parts[part].name.replace('_', " "));
+                continue;
+            }
             let index = self.model.parameters.iter().position(|parameter| parameter.name.as_str() == name);
             let Some(index) = index else { continue };
             let unit = self.model.parameters[index].dimension.unit();
@@ -229,13 +303,19 @@ impl OnArm for FileTask {
     }
 
     fn defaults(&self) -> Self {
-        Self { arm: ArmSettings::lasting(self.model.time_limit_s), model: Arc::clone(&self.model) }
+        Self::of(Arc::clone(&self.model))
     }
 }
 
 impl HasSettings for FileTask {
-    fn rows() -> Vec<SettingRow<Self>> {
-        rows([])
+    fn rows(&self) -> Vec<SettingRow<Self>> {
+        let tables = &self.model.document.setting;
+        let row = |(index, setting): (usize, &SettingModel)| SettingRow {
+            name: setting.name.as_str(),
+            meaning: tables[index].meaning.clone().into(),
+            field: Field::Listed(setting.range, index, |task: &mut Self, index| &mut task.settings[index]),
+        };
+        rows(self.model.settings.iter().enumerate().map(row))
     }
 }
 
@@ -245,50 +325,103 @@ impl ArmDeclaration for FileTask {
     }
 
     fn summary(&self) -> &str {
-        &self.model.summary
+        &self.model.document.summary
     }
 
     fn brought_space(&self) -> Option<ParameterSpace> {
-        self.model.space()
+        self.model.own_space()
+    }
+
+    fn space(&self, _: &Gripper) -> &'static str {
+        self.model.space.unwrap_or(self.name())
+    }
+
+    fn suite(&self) -> Option<&'static str> {
+        self.model.suite.map(Word::as_str)
     }
 
     fn parameters(&self) -> &dyn Parameters {
         &*self.model
     }
 
-    fn first_part(&self, _: &TaskInstance) -> Result<[f64; 4], Fault> {
-        Err(Fault::new(FaultKind::Setup, "a task from a file has no demonstrations with pushes"))
+    fn first_part(&self, instance: &TaskInstance, robot: &Robot) -> Result<[f64; 4], Fault> {
+        let cell = Cell::new(&self.model, &self.settings, robot, &Briefing::of(&self.model, instance)?);
+        let first = self.model.skills(cell.numbers.word).iter().find_map(Skill::grasped);
+        let (part, edge) =
+            first.and_then(|part| Some((part, cell.numbers.parts[part].size_m()?))).ok_or_else(|| {
+                Fault::new(FaultKind::Setup, "the expert of the task grasps no cube, so it cannot be pushed")
+            })?;
+        let [x, y, z] = cell.layout.parts[part].translation.vector.into();
+        Ok([x, y, z, edge])
     }
 
     fn own_claims(&self, _: &Gripper) -> Vec<Claim> {
-        Vec::new()
+        self.model.foresight.map_or_else(Vec::new, |(_, plug_in)| plug_in.claims.to_vec())
     }
 
     fn controller(&self, robot: Robot, chain: Chain) -> Box<dyn Policy> {
-        Box::new(Expert::new(Arc::clone(&self.model), robot, chain))
+        Box::new(Expert::new(Arc::clone(&self.model), self.settings.clone(), robot, chain))
     }
 
-    fn tool_expert(&self, _: Robot) -> Option<Box<dyn Policy>> {
-        None
+    fn tool_expert(&self, robot: Robot, chain: Chain) -> Option<Box<dyn Policy>> {
+        let joints = self.model.nominal.parts.iter().any(|part| part.joint.is_some());
+        if !self.has_expert() || self.moves() || joints {
+            return None;
+        }
+        let (model, gripper) = (Arc::clone(&self.model), robot.settings.gripper.clone());
+        let expert = Expert::new(Arc::clone(&model), self.settings.clone(), robot.clone(), chain.clone());
+        let way = move |_: &Robot, instance: &TaskInstance| {
+            let (Ok(stages) | Err(stages)) = expert.stages(&Briefing::of(&model, instance)?);
+            Ok(way::way(&stages, &chain, &gripper))
+        };
+        Some(Box::new(ToolExpert::new(self.name(), Arc::new(way), robot)))
     }
 }
 
 impl Rules for FileTask {
     fn only_here(&self) -> Option<&'static str> {
-        Some("a task from a file runs on an engine in this process: use --engine mujoco, without --simulator")
+        self.model.is_local().then_some(
+            "the file of the task has joints, motions or contacts that only an engine in this process reports: use --engine mujoco, \
+             without --simulator",
+        )
     }
 
-    fn foresight(&self, _: &Robot, _: &Chain, _: f64) -> Option<Arc<dyn Foresight>> {
-        None
+    fn foresight(&self, robot: &Robot, chain: &Chain, grip_force_n: f64) -> Option<Arc<dyn Foresight>> {
+        let (_, plug_in) = self.model.foresight?;
+        Some((plug_in.new)(self.clone(), robot, chain, grip_force_n))
     }
 
-    fn infeasibility(&self, _: &Assignment, _: &Robot, _: f64) -> Option<Infeasibility> {
-        None
+    fn infeasibility(&self, requested: &Assignment, robot: &Robot, grip_force_n: f64) -> Option<Infeasibility> {
+        let numbers = self.model.numbers(requested, &self.settings, robot).ok()?;
+        let layout = Layout::new(&numbers, &self.model.parents(), &vec![Draws::default(); self.model.parts.len()]);
+        let pads = numbers.friction * numbers.around.gripper.pad_friction_scale;
+        let carried = &self.model.cases[numbers.word].carried;
+        let far = |part: &usize| {
+            let [x, y, _] = layout.parts[*part].translation.vector.into();
+            out_of_reach(robot, "part", [x, y], numbers.parts[*part].spread_m)
+        };
+        let heavy = |part: &usize| {
+            let part = &numbers.parts[*part];
+            // A cube has vertical faces only.
+            let (width_m, friction) = (part.size_m(), part.size_m().map(|_| pads));
+            let load = Load {
+                width_m: width_m.filter(|_| pads < 1.0),
+                friction: friction.filter(|pads| *pads < 1.0),
+                weight_n: part.mass_kg * numbers.gravity,
+                force_scale: numbers.around.gripper.force_scale,
+            };
+            cannot_carry(robot, &load, grip_force_n, self.arm.suction)
+        };
+        carried.iter().find_map(far).or_else(|| carried.iter().find_map(heavy))
     }
 
     fn spec(&self, robot: &Robot, cameras: Vec<CameraSpec>) -> TaskSpec {
         let model = &self.model;
-        let failures = model.failures.iter().map(|failure| mode(failure.mode, failure.severity, &failure.meaning));
+        let failures = |at_limit: bool| {
+            let failures = model.failures.iter().zip(&model.document.failure);
+            let failures = failures.filter(move |(_, table)| table.at_limit == at_limit);
+            failures.map(|(name, table)| mode(*name, table.severity, &table.meaning))
+        };
         let collision = mode(
             COLLISION,
             Severity::Critical,
@@ -296,34 +429,29 @@ impl Rules for FileTask {
         );
         let timeout =
             mode(FailureMode::TIMEOUT, Severity::Minor, "The time limit passed before the success condition held.");
-        let own = model.measures.iter().map(|of| measure(of.name, &of.dimension.unit(), of.better, &of.meaning));
-        let stages: Vec<String> = model.stages.iter().map(|(name, _)| name.to_string()).collect();
+        let own = model.measures.iter().zip(&model.document.measure);
+        let own = own.map(|((name, of), table)| measure(*name, &of.unit(), table.better, &table.meaning));
+        let stages: Vec<String> = model.stages.iter().map(ToString::to_string).collect();
         let meaning = format!("Number of stages that were reached, in order: {}.", stages.join(", "));
         let stages = (!stages.is_empty()).then(|| measure(STAGES, "", Better::Higher, &meaning));
         TaskSpec {
-            version: model.version,
+            version: model.document.version,
             instruction: self.instruction(&model.nominal),
-            failure_modes: failures.chain([collision, timeout]).collect(),
+            failure_modes: failures(false).chain([collision]).chain(failures(true)).chain([timeout]).collect(),
+            draws: model.foresight.map(|(_, plug_in)| (plug_in.draws)(self, robot)).unwrap_or_default(),
             measures: own.chain(stages).chain(common_measures()).collect(),
-            stages: model.stages.iter().map(|(name, _)| *name).collect(),
-            phases: expert::phases(model.skills.as_deref().unwrap_or_default()),
-            details: json!({ TEXT: model.text }),
+            stages: model.stages.clone(),
+            phases: skills::phases(model.skills(model.nominal.word)),
+            // A record names a built-in task.
+            details: if SHIPPED.contains(&&*model.text) { json!(null) } else { json!({ TEXT: model.text }) },
             ..base_spec(self.name(), robot, cameras)
         }
     }
 
     fn resolve(&self, scenario: &Scenario, robot: &Robot, grip_force_n: f64) -> Result<Resolved, Fault> {
         let model = &self.model;
-        let mut numbers = model.numbers(&scenario.requested, &robot.settings.gripper)?;
-        numbers.around.encoders = encoder_bias(scenario, robot, 1.0);
-        let draws = self.draws(scenario, &numbers)?;
-        let layout = Layout::new(&numbers, &model.parents(), &draws);
-        let told = model.parameters.iter().zip(&numbers.values).filter(|(parameter, _)| parameter.told);
-        let starts = model.parts.iter().zip(&layout.parts).filter(|(part, _)| part.start.is_some());
-        let briefing = Briefing {
-            parameters: told.map(|(parameter, value)| (parameter.name.to_string(), *value)).collect(),
-            parts: starts.map(|(part, at)| (part.name.clone(), pose(at))).collect(),
-        };
+        let Drawn { numbers, draws, layout } = self.drawn(scenario, robot)?;
+        let briefing = self.briefing(&numbers, &layout);
         Ok(Resolved {
             scene: self.scene(&numbers, &layout),
             grip_threshold_m: GRIP_THRESHOLD_M,
@@ -334,12 +462,22 @@ impl Rules for FileTask {
     }
 }
 
+/// The numbers and poses of an episode.
+struct Drawn {
+    numbers: Numbers,
+    draws: Vec<Draws>,
+    layout: Layout,
+}
+
 /// Information that a policy may use about one episode.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 struct Briefing {
     /// Values of the parameters that the policy is told.
     parameters: BTreeMap<String, f64>,
-    /// Poses of the parts that start in a region.
+    /// The word of the task's choice, if it has one.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    choice: String,
+    /// Poses of the parts that start in a region, and nominal poses of parts whose places follow the reach of the arm.
     parts: BTreeMap<String, Pose>,
 }
 

@@ -2,19 +2,18 @@
 
 use nalgebra::Vector3;
 use robogate_core::budget::Budget;
-use robogate_core::{Better, FailureMode, Severity, Word};
+use robogate_core::{FailureMode, Word};
 use robogate_physics::{Color, GRAVITY, Motion, Part, Primitive};
 
-use super::conditions::{Compiler, Condition, Value};
+use super::conditions::{Condition, Value};
 use super::document::{Document, ShapeTable, Text};
-use super::expert::{self, Skill};
+use super::foresight::{self, PlugIn};
 use super::names::{Names, RESERVED, Region};
 use super::numbers::{Frame, Numbers, PartNumbers, Place, Placed, Target};
 use super::problem::{Problem, Problems};
-use super::syntax;
+use super::skills::Skill;
 use super::units::{Dimension, quantities};
 use crate::arm::CONTROL_PERIOD_S;
-use crate::settings::unit_of;
 
 /// The format that this program reads.
 pub(super) const FORMAT: &str = "robogate-task/1";
@@ -32,36 +31,30 @@ const FRICTION: f64 = 0.7;
 /// A task as a file describes it.
 #[derive(Debug)]
 pub(super) struct Model {
+    /// The file as it is written.
+    pub(super) document: Document,
     pub(super) name: Word,
-    pub(super) version: u32,
-    pub(super) summary: String,
-    pub(super) instruction: String,
     pub(super) time_limit_s: f64,
     pub(super) fixtures: Vec<FixtureModel>,
     pub(super) parts: Vec<PartModel>,
     pub(super) parameters: Vec<ParameterModel>,
     /// The numbers of the file, with nominal values of the parameters.
     pub(super) nominal: Numbers,
-    pub(super) success: Condition,
-    pub(super) failures: Vec<FailureModel>,
-    pub(super) stages: Vec<(Word, Condition)>,
-    pub(super) measures: Vec<MeasureModel>,
-    pub(super) skills: Option<Vec<Skill>>,
-    /// Number of slots in the memory of conditions.
-    pub(super) slots: usize,
-    /// Where conditions and parameters stand, for problems that are found later.
-    pub(super) lines: Lines,
+    pub(super) choice: Option<ChoiceModel>,
+    pub(super) settings: Vec<SettingModel>,
+    /// The built-in space that campaigns sample.
+    pub(super) space: Option<&'static str>,
+    pub(super) suite: Option<Word>,
+    /// What is known about episodes before they run, by its name.
+    pub(super) foresight: Option<(&'static str, PlugIn)>,
+    pub(super) failures: Vec<FailureMode>,
+    pub(super) stages: Vec<Word>,
+    /// The measures with the dimension of their values.
+    pub(super) measures: Vec<(Word, Dimension)>,
+    /// Conditions and skills for each word of the choice, or for a task without a choice.
+    pub(super) cases: Vec<Case>,
     /// The text of the file.
     pub(super) text: String,
-}
-
-/// Where things stand in the file, as bytes.
-#[derive(Debug, Default)]
-pub(super) struct Lines {
-    pub(super) success: usize,
-    pub(super) failures: Vec<usize>,
-    pub(super) stages: Vec<usize>,
-    pub(super) expert: usize,
 }
 
 /// A body that stands still.
@@ -79,7 +72,6 @@ pub(super) struct FixtureModel {
 pub(super) struct PartModel {
     pub(super) name: String,
     pub(super) parent: Option<usize>,
-    pub(super) shapes: Vec<Part>,
     pub(super) start: Option<Region>,
     pub(super) color: Option<Color>,
 }
@@ -97,28 +89,62 @@ pub(super) struct ParameterModel {
     pub(super) told: bool,
 }
 
-/// A failure.
+/// The parameter that says which parts have which roles.
 #[derive(Debug)]
-pub(super) struct FailureModel {
-    pub(super) mode: FailureMode,
-    pub(super) severity: Severity,
-    pub(super) meaning: String,
-    pub(super) when: Condition,
-}
-
-/// A measure.
-#[derive(Debug)]
-pub(super) struct MeasureModel {
+pub(super) struct ChoiceModel {
     pub(super) name: Word,
+    pub(super) roles: Vec<String>,
+    /// The words, with the part of each role.
+    pub(super) words: Vec<(String, Vec<usize>)>,
+    pub(super) nominal: usize,
     pub(super) meaning: String,
-    pub(super) better: Better,
-    pub(super) dimension: Dimension,
-    pub(super) of: Measured,
+    pub(super) family: Option<Word>,
 }
 
-/// What a measure records.
+/// A number that a user can set.
 #[derive(Debug)]
-pub(super) enum Measured {
+pub(super) struct SettingModel {
+    pub(super) name: Word,
+    pub(super) range: [f64; 2],
+    pub(super) default: f64,
+}
+
+/// Conditions and skills, with every role resolved.
+#[derive(Debug, Default)]
+pub(super) struct Case {
+    /// Named conditions, each with the slot of its result.
+    pub(super) named: Vec<(Condition, usize)>,
+    pub(super) success: Option<Condition>,
+    pub(super) failures: Vec<Condition>,
+    pub(super) stages: Vec<Condition>,
+    /// What each measure records.
+    pub(super) measures: Vec<Vec<Measured>>,
+    pub(super) skills: Option<Vec<Skill>>,
+    /// Numbers that follow from parameters.
+    pub(super) sets: Vec<(Target, Value)>,
+    /// Parts that every policy must carry.
+    pub(super) carried: Vec<usize>,
+    /// Number of slots in the memory of conditions.
+    pub(super) slots: usize,
+}
+
+impl Case {
+    /// Every condition of the task except those with a name.
+    pub(super) fn conditions(&self) -> impl Iterator<Item = &Condition> {
+        self.success.iter().chain(&self.failures).chain(&self.stages)
+    }
+}
+
+/// What a measure records in one of its texts, and when.
+#[derive(Debug)]
+pub(super) struct Measured {
+    pub(super) how: How,
+    pub(super) when: Option<Condition>,
+}
+
+/// A number that a measure records.
+#[derive(Debug)]
+pub(super) enum How {
     Max(Value),
     Min(Value),
     Final(Value),
@@ -143,7 +169,7 @@ impl Model {
                 return Err(problems.found);
             }
         };
-        let model = Reading { problems: &mut problems, names: Names::default() }.model(&document, text);
+        let model = Reading { problems: &mut problems, names: Names::default() }.model(document, text);
         match model {
             Some(model) if problems.found.is_empty() => Ok(model),
             _ => {
@@ -151,6 +177,49 @@ impl Model {
                 Err(problems.found)
             }
         }
+    }
+
+    /// Whether the file has an expert.
+    pub(super) fn has_expert(&self) -> bool {
+        self.cases.iter().any(|case| case.skills.is_some())
+    }
+
+    /// The index of the value of a parameter or setting.
+    pub(super) fn number_named(&self, name: &str) -> Option<usize> {
+        let settings = self.settings.iter().map(|setting| setting.name);
+        self.parameters.iter().map(|parameter| parameter.name).chain(settings).position(|known| known.as_str() == name)
+    }
+
+    /// The part that has a role with this word of the choice.
+    pub(super) fn in_role(&self, word: usize, role: &str) -> Option<usize> {
+        let choice = self.choice.as_ref()?;
+        let index = choice.roles.iter().position(|known| known == role)?;
+        choice.words[word].1.get(index).copied()
+    }
+
+    /// The skills of the expert with this word of the choice.
+    pub(super) fn skills(&self, word: usize) -> &[Skill] {
+        self.cases[word].skills.as_deref().unwrap_or_default()
+    }
+
+    /// Whether only an engine of this process can simulate the task and judge it.
+    pub(super) fn is_local(&self) -> bool {
+        let local = |case: &Case| {
+            let named = case.named.iter().map(|(condition, _)| condition);
+            let measured = case.measures.iter().flatten().any(|of| {
+                of.when.as_ref().is_some_and(Condition::is_local)
+                    || match &of.how {
+                        How::Max(value) | How::Min(value) | How::Final(value) => value.is_local(),
+                        How::First(condition) => condition.is_local(),
+                    }
+            });
+            measured || case.conditions().chain(named).any(Condition::is_local)
+        };
+        let moves = self.nominal.motions.iter().any(Option::is_some);
+        moves
+            || self.nominal.parts.iter().any(|part| part.joint.is_some())
+            || self.fixtures.iter().any(|fixture| fixture.touch)
+            || self.cases.iter().any(local)
     }
 
     /// The frame that each part's position refers to.
@@ -166,88 +235,78 @@ pub(super) struct Reading<'a, 'b> {
 }
 
 impl Reading<'_, '_> {
-    fn model(mut self, document: &Document, text: &str) -> Option<Model> {
+    fn model(mut self, document: Document, text: &str) -> Option<Model> {
         if document.format.text != FORMAT {
             self.problems
                 .of(&document.format, format!("unknown format `{}`. Expected `{FORMAT}`", document.format.text));
         }
-        self.check_sizes(document);
+        self.check_sizes(&document);
         let name = self.word(&document.name);
         let time_limit_s = self.time_limit(&document.time_limit);
         let mut nominal = Numbers {
             friction: self.optional(document.scene.friction.as_ref(), Dimension::NONE, [0.01, 10.0], FRICTION),
             gravity: self.optional(document.scene.gravity.as_ref(), Dimension::ACCELERATION, [0.0, 30.0], GRAVITY),
+            scale: 1.0,
             ..Numbers::default()
         };
-        let fixtures = self.fixtures(document, &mut nominal);
+        let fixtures = self.fixtures(&document, &mut nominal);
         // Regions may be in parts, and parts may start in regions: names first.
-        let parts = self.parts(document, &mut nominal);
-        self.regions(document);
-        let parts = self.with_starts(document, parts);
-        let parameters = self.parameters(document, &mut nominal);
-        let mut compiler = Compiler { names: &self.names, slots: 0 };
-        let problems = &mut *self.problems;
-        let success = condition(problems, &mut compiler, &document.success.when);
-        let mut failures = Vec::new();
-        for failure in &document.failure {
-            let mode = mode(problems, &failure.name, &failures);
-            let when = condition(problems, &mut compiler, &failure.when);
-            if let (Some(mode), Some(when)) = (mode, when) {
-                let (severity, meaning) = (failure.severity, failure.meaning.clone());
-                failures.push(FailureModel { mode, severity, meaning, when });
-            }
-        }
-        let mut stages: Vec<(Word, Condition)> = Vec::new();
-        for stage in &document.stage {
-            let name = word(problems, &stage.name);
-            let when = condition(problems, &mut compiler, &stage.when);
-            if stages.iter().any(|(known, _)| Some(*known) == name) {
-                problems.of(&stage.name, format!("a second stage `{}`", stage.name.text));
-            }
-            stages.extend(name.zip(when));
-        }
-        let measures: Vec<_> =
-            document.measure.iter().filter_map(|of| measure(problems, &mut compiler, &of.name, of)).collect();
-        for (index, measure) in measures.iter().enumerate() {
-            if measures[..index].iter().any(|earlier| earlier.name == measure.name) {
-                problems.of(&document.measure[index].name, format!("a second measure `{}`", measure.name));
-            }
-        }
-        let skills = document.expert.as_ref().map(|expert| {
-            let read = |text: &Text| {
-                let skill = syntax::parse(&text.text).and_then(|node| expert::skill(&mut compiler, &node));
-                skill.map_err(|(at, why)| problems.at(within(text, at), why, "")).ok()
-            };
-            expert.skills.iter().filter_map(read).collect::<Vec<_>>()
+        let parts = self.parts(&document, &mut nominal);
+        self.regions(&document);
+        let parts = self.with_starts(&document, parts);
+        let parameters = self.parameters(&document, &mut nominal);
+        let settings = self.settings(&document, &mut nominal);
+        let choice = document.choice.as_ref().and_then(|table| self.choice(table));
+        let space = document.space.as_ref().and_then(|text| {
+            let known = crate::spaces::built_in_spaces();
+            let found = known.clone().find(|name| *name == text.text);
+            let why = || format!("unknown parameter space `{}`: {}", text.text, robogate_core::hint(&text.text, known));
+            self.problems.take(text, found.ok_or_else(why))
         });
-        let slots = compiler.slots;
-        check_instruction(problems, &self.names, &document.instruction);
-        let at = |texts: Vec<&Text>| texts.iter().map(|text| text.at).collect();
-        let lines = Lines {
-            success: document.success.when.at,
-            failures: at(document.failure.iter().map(|failure| &failure.when).collect()),
-            stages: at(document.stage.iter().map(|stage| &stage.when).collect()),
-            expert: document.expert.as_ref().and_then(|of| of.skills.first()).map_or(0, |skill| skill.at),
-        };
-        Some(Model {
+        let suite = document.suite.as_ref().and_then(|text| {
+            let word = Word::new(&text.text).map_err(|why| why.to_string());
+            self.problems.take(text, word)
+        });
+        let foresight = document.foresight.as_ref().and_then(|text| {
+            let known = foresight::PLUG_INS.iter();
+            let found = known.clone().find(|(name, _)| *name == text.text).copied();
+            let why = || {
+                let names = known.map(|(name, _)| *name);
+                format!("unknown foresight `{}`: {}", text.text, robogate_core::hint(&text.text, names))
+            };
+            self.problems.take(text, found.ok_or_else(why))
+        });
+        let failures = self.failures(&document);
+        let stages = self.stages(&document);
+        let (cases, measures) = self.cases(&document, choice.as_ref(), &nominal);
+        if let Some(choice) = &choice {
+            nominal.word = choice.nominal;
+            self.names.roles = choice.roles.iter().map(|role| (role.clone(), 0)).collect();
+        }
+        check_instruction(self.problems, &self.names, &document.instruction);
+        let model = Model {
             name: name?,
-            version: document.version,
-            summary: document.summary.clone(),
-            instruction: document.instruction.text.clone(),
             time_limit_s: time_limit_s?,
             fixtures,
             parts,
             parameters,
             nominal,
-            success: success?,
+            choice,
+            settings,
+            space,
+            suite,
+            foresight,
             failures,
             stages,
             measures,
-            skills,
-            slots,
-            lines,
+            cases,
             text: text.to_owned(),
-        })
+            document,
+        };
+        if let (Some(text), Some((_, plug_in))) = (&model.document.foresight, foresight) {
+            self.problems.take(text, (plug_in.suits)(&model));
+        }
+        Some(model)
     }
 
     fn check_sizes(&mut self, document: &Document) {
@@ -260,6 +319,10 @@ impl Reading<'_, '_> {
             ("points", points, MOST_ENTRIES),
             ("regions", document.region.len(), MOST_ENTRIES),
             ("parameters", document.parameter.len(), MOST_ENTRIES),
+            ("settings", document.setting.len(), MOST_ENTRIES),
+            ("entries of `set`", document.set.len(), MOST_ENTRIES),
+            ("conditions", document.condition.len(), MOST_ENTRIES),
+            ("values of measures", document.measure.iter().map(|of| of.value.0.len()).sum(), MOST_ENTRIES),
             ("failures", document.failure.len(), MOST_ENTRIES),
             ("stages", document.stage.len(), MOST_ENTRIES),
             ("measures", document.measure.len(), MOST_ENTRIES),
@@ -398,16 +461,15 @@ impl Reading<'_, '_> {
             nominal.parts.push(PartNumbers {
                 placed,
                 mass_kg: self.number(&table.mass, Dimension::MASS, [1e-3, 100.0]).unwrap_or(1.0),
+                shapes: self.shapes(&table.shapes, &table.name),
                 spread_m: self.optional(table.spread.as_ref(), Dimension::LENGTH, [0.0, 1.0], 0.0),
                 spin_rad: self.optional(table.spin.as_ref(), Dimension::ANGLE, [0.0, 3.2], 0.0),
                 joint: joint.map(|(joint, _)| joint),
             });
             for (point, of) in &table.points {
-                let place = Place {
-                    on: Frame::Part(index),
-                    point: self.triple(Some(&of.at), Dimension::LENGTH).into(),
-                    close_rad: of.close.as_ref().and_then(|text| self.number(text, Dimension::ANGLE, [-6.3, 6.3])),
-                };
+                let at = self.triple(Some(&of.at), Dimension::LENGTH).into();
+                let close_rad = of.close.as_ref().and_then(|text| self.number(text, Dimension::ANGLE, [-6.3, 6.3]));
+                let place = Place { close_rad, ..Place::new(Frame::Part(index), at) };
                 if point.contains('.') {
                     self.problems.of(&of.at, format!("`{point}` has a dot. Expected a name without one"));
                 }
@@ -422,7 +484,7 @@ impl Reading<'_, '_> {
                 Some(Frame::Fixture(parent)) => Some(parent),
                 _ => None,
             };
-            parts.push(PartModel { name, parent, shapes: self.shapes(&table.shapes, &table.name), start: None, color });
+            parts.push(PartModel { name, parent, start: None, color });
         }
         parts
     }
@@ -488,12 +550,6 @@ impl Reading<'_, '_> {
     }
 }
 
-/// A byte of the file: a byte of a text in it, after the quote.
-fn within(text: &Text, at: usize) -> usize {
-    // A text over several lines begins after its quotes; others are on one line.
-    text.at + text.text.get(..at).unwrap_or_default().len() + 1
-}
-
 fn word(problems: &mut Problems<'_>, text: &Text) -> Option<Word> {
     let plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_';
     if !text.text.starts_with(|c: char| c.is_ascii_lowercase()) || !text.text.chars().all(plain) {
@@ -503,69 +559,13 @@ fn word(problems: &mut Problems<'_>, text: &Text) -> Option<Word> {
     problems.take(text, Word::new(&text.text).map_err(|why| why.to_string()))
 }
 
-fn condition(problems: &mut Problems<'_>, compiler: &mut Compiler<'_>, text: &Text) -> Option<Condition> {
-    let found = syntax::parse(&text.text).and_then(|node| compiler.condition(&node));
-    found.map_err(|(at, why)| problems.at(within(text, at), why, "")).ok()
-}
-
-fn mode(problems: &mut Problems<'_>, text: &Text, known: &[FailureModel]) -> Option<FailureMode> {
-    let name = word(problems, text)?;
-    if ["collision", "struck", "timeout"].contains(&name.as_str()) {
-        problems.of(text, format!("every task has the failure `{name}`. Expected another name"));
-        return None;
-    }
-    if known.iter().any(|failure| failure.mode.as_str() == name.as_str()) {
-        problems.of(text, format!("a second failure `{name}`"));
-    }
-    problems.take(text, FailureMode::new(name.as_str()).map_err(|why| why.to_string()))
-}
-
-fn measure(
-    problems: &mut Problems<'_>,
-    compiler: &mut Compiler<'_>,
-    name: &Text,
-    table: &super::document::MeasureTable,
-) -> Option<MeasureModel> {
-    let known = word(problems, name);
-    let text = &table.value;
-    let (how, rest) = text.text.split_once(' ').unwrap_or((&text.text, ""));
-    let offset = text.text.len() - rest.len();
-    let parsed = syntax::parse(rest).and_then(|node| {
-        let value = |compiler: &mut Compiler<'_>, of: fn(Value) -> Measured| {
-            compiler.value(&node).map(|(value, dimension)| (of(value), dimension))
-        };
-        match how {
-            "max" => value(compiler, Measured::Max),
-            "min" => value(compiler, Measured::Min),
-            "final" => value(compiler, Measured::Final),
-            "first" => Ok((Measured::First(compiler.condition(&node)?), Dimension::TIME)),
-            _ => Err((
-                0,
-                format!("found `{how}`. Expected `max VALUE`, `min VALUE`, `final VALUE` or `first CONDITION`"),
-            )),
-        }
-    });
-    let (of, dimension) = match parsed {
-        Ok(parsed) => parsed,
-        Err((at, why)) => {
-            problems.at(within(text, offset + at), why, "");
-            return None;
-        }
-    };
-    let unit = unit_of(known?.as_str());
-    if !unit.is_empty() && unit != dimension.unit() {
-        problems.of(name, format!("`{}` ends with the unit {unit}, but its value is {dimension}", name.text));
-    }
-    Some(MeasureModel { name: known?, meaning: table.meaning.clone(), better: table.better, dimension, of })
-}
-
 /// The names in braces of an instruction.
 pub(super) fn braces(text: &str) -> impl Iterator<Item = &str> {
     text.split('{').skip(1).filter_map(|rest| rest.split_once('}')).map(|(name, _)| name)
 }
 
 fn check_instruction(problems: &mut Problems<'_>, names: &Names, text: &Text) {
-    for name in braces(&text.text) {
+    for name in braces(&text.text).filter(|name| !names.roles.iter().any(|(role, _)| role == name)) {
         if let Err((_, why)) = names.parameter(0, name) {
             problems.of(text, why);
         }

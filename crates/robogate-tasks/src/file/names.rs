@@ -33,9 +33,13 @@ pub(super) struct Names {
     /// Points of parts, as `part.point`.
     pub(super) points: BTreeMap<String, Place>,
     pub(super) regions: Vec<(String, Region)>,
-    /// Parameters with the dimension of their values.
+    /// The roles of the file's choice, with the part that has each.
+    pub(super) roles: Vec<(String, usize)>,
+    /// Named conditions, with the slot of the memory that has their result.
+    pub(super) conditions: Vec<(String, usize)>,
+    /// Parameters and settings with the dimension of their values.
     pub(super) parameters: Vec<(String, Dimension)>,
-    /// The nominal values of the parameters.
+    /// The nominal values of the parameters and settings.
     pub(super) nominal: Vec<f64>,
 }
 
@@ -53,8 +57,18 @@ fn unknown<'a>(at: usize, what: &str, name: &str, known: impl Iterator<Item = &'
 }
 
 impl Names {
+    /// The parts, then the roles, with the index of each part.
+    fn named_parts(&self) -> impl Iterator<Item = (&str, usize)> + Clone {
+        let parts = self.parts.iter().enumerate().map(|(of, (name, _))| (name.as_str(), of));
+        parts.chain(self.roles.iter().map(|(role, of)| (role.as_str(), *of)))
+    }
+
     fn part_names(&self) -> impl Iterator<Item = &str> + Clone {
-        self.parts.iter().map(|(name, _)| name.as_str())
+        self.named_parts().map(|(name, _)| name)
+    }
+
+    fn find_part(&self, wanted: &str) -> Option<usize> {
+        self.named_parts().find(|(name, _)| *name == wanted).map(|(_, of)| of)
     }
 
     fn fixture_names(&self) -> impl Iterator<Item = &str> + Clone {
@@ -63,7 +77,7 @@ impl Names {
 
     /// The index of a part.
     pub(super) fn part_named(&self, at: usize, wanted: &str) -> Result<usize, Wrong> {
-        self.part_names().position(|name| name == wanted).ok_or_else(|| unknown(at, "part", wanted, self.part_names()))
+        self.find_part(wanted).ok_or_else(|| unknown(at, "part", wanted, self.part_names()))
     }
 
     pub(super) fn part(&self, node: &Node) -> Result<usize, Wrong> {
@@ -88,7 +102,7 @@ impl Names {
             return Ok(Body::Fixture(shapes.clone()));
         }
         let known = self.part_names().chain(self.fixture_names()).chain(["robot", TABLE]);
-        match self.part_names().position(|name| name == wanted) {
+        match self.find_part(wanted) {
             Some(part) => Ok(Body::Part(part)),
             None => Err(unknown(node.at, "body", wanted, known)),
         }
@@ -96,18 +110,25 @@ impl Names {
 
     pub(super) fn place(&self, node: &Node) -> Result<Place, Wrong> {
         let wanted = name(node)?;
-        let origin = |on| Place { on, point: Vector3::zeros(), close_rad: None };
-        if let Some(place) = self.points.get(wanted) {
-            return Ok(*place);
+        let origin = |on| Place::new(on, Vector3::zeros());
+        if let Some((owner, point)) = wanted.split_once('.')
+            && let Some(of) = self.find_part(owner)
+        {
+            if let Some(place) = self.points.get(&format!("{}.{point}", self.parts[of].0)) {
+                return Ok(place.clone());
+            }
+            if point == "released" {
+                return Ok(origin(Frame::Release(of)));
+            }
         }
-        if let Some(part) = self.part_names().position(|name| name == wanted) {
+        if let Some(part) = self.find_part(wanted) {
             return Ok(origin(Frame::Part(part)));
         }
         if let Some(fixture) = self.fixture_names().position(|name| name == wanted) {
             return Ok(origin(Frame::Fixture(fixture)));
         }
         if let Some((_, region)) = self.regions.iter().find(|(name, _)| name == wanted) {
-            return Ok(Place { on: region.on, point: region.at, close_rad: None });
+            return Ok(Place::new(region.on, region.at));
         }
         match wanted {
             "tool" => Ok(origin(Frame::Tool)),
@@ -140,7 +161,7 @@ impl Names {
 
     /// What a path of a parameter starts with: a fixture or a part.
     pub(super) fn frame_named(&self, at: usize, wanted: &str) -> Result<Frame, Wrong> {
-        if let Some(part) = self.part_names().position(|name| name == wanted) {
+        if let Some(part) = self.find_part(wanted) {
             return Ok(Frame::Part(part));
         }
         let known = self.part_names().chain(self.fixture_names()).chain(["scene"]);

@@ -1,8 +1,9 @@
 //! The numbers of a scene that parameters can set, and the poses that follow from them.
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
-use robogate_physics::{Joint, Motion};
+use robogate_physics::{Joint, Motion, Part, Primitive};
 
+use super::conditions::Value;
 use super::units::Dimension;
 use crate::arm::{InSurroundings, Surroundings};
 
@@ -15,8 +16,12 @@ pub(super) struct Numbers {
     pub(super) parts: Vec<PartNumbers>,
     pub(super) friction: f64,
     pub(super) gravity: f64,
-    /// The value of each parameter.
+    /// The value of each parameter, then of each setting.
     pub(super) values: Vec<f64>,
+    /// Which of the words of the file's choice is chosen.
+    pub(super) word: usize,
+    /// Scale of the layout for the reach of the arm.
+    pub(super) scale: f64,
     /// What every task has.
     pub(super) around: Surroundings,
 }
@@ -47,6 +52,7 @@ impl Placed {
 pub(super) struct PartNumbers {
     pub(super) placed: Placed,
     pub(super) mass_kg: f64,
+    pub(super) shapes: Vec<Part>,
     /// Radius of the disc of its start, in metres, and largest rotation, in radians.
     pub(super) spread_m: f64,
     pub(super) spin_rad: f64,
@@ -75,6 +81,8 @@ pub(super) enum PartTarget {
     /// x, y, z, or the yaw.
     Placed(usize),
     Mass,
+    /// The edges of a part that is one box, or the diameter of one ball.
+    Size,
     Spread,
     Spin,
     Damping,
@@ -111,6 +119,7 @@ impl Target {
                 match which {
                     PartTarget::Placed(which) => Some(part.placed.number(which)),
                     PartTarget::Mass => Some(&mut part.mass_kg),
+                    PartTarget::Size => None,
                     PartTarget::Spread => Some(&mut part.spread_m),
                     PartTarget::Spin => Some(&mut part.spin_rad),
                     PartTarget::Damping => part.joint.as_mut().map(|joint| &mut joint.damping),
@@ -122,6 +131,48 @@ impl Target {
             }
         }
     }
+}
+
+impl Target {
+    /// The value of the number that it sets.
+    pub(super) fn get(self, numbers: &mut Numbers) -> Option<f64> {
+        match self {
+            Self::Part(of, PartTarget::Size) => numbers.parts[of].size_m(),
+            _ => self.number(numbers).map(|number| *number),
+        }
+    }
+
+    pub(super) fn set(self, numbers: &mut Numbers, value: f64) {
+        match (self, self.number(numbers)) {
+            (_, Some(number)) => *number = value,
+            (Self::Part(of, PartTarget::Size), None) => numbers.parts[of].resize(value),
+            _ => {}
+        }
+    }
+}
+
+impl PartNumbers {
+    /// The edge of a cube or the diameter of a ball, in metres. `None` for another part.
+    pub(super) fn size_m(&self) -> Option<f64> {
+        edge_m(self.shapes.iter().map(|part| &part.primitive))
+    }
+
+    fn resize(&mut self, size_m: f64) {
+        for part in &mut self.shapes {
+            part.primitive = match part.primitive {
+                Primitive::Box { .. } => Primitive::Box { half: [0.5 * size_m; 3] },
+                Primitive::Sphere { .. } => Primitive::Sphere { radius: 0.5 * size_m },
+                other @ Primitive::Cylinder { .. } => other,
+            };
+        }
+    }
+}
+
+/// The edge of one cube or the diameter of one ball, in metres. `None` for other shapes.
+pub(super) fn edge_m<'a>(mut shapes: impl Iterator<Item = &'a Primitive>) -> Option<f64> {
+    let shape = shapes.next().filter(|shape| !matches!(shape, Primitive::Cylinder { .. }))?;
+    let [x, y, z] = shape.half_extent();
+    (shapes.next().is_none() && (x - y).abs() + (x - z).abs() < 1e-9).then_some(2.0 * x)
 }
 
 /// The speed that a file states for a motion.
@@ -202,13 +253,22 @@ impl Layout {
 }
 
 /// A place of a scene: the tool, or a point of a body.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub(super) struct Place {
     pub(super) on: Frame,
     /// The point in the frame, in metres.
     pub(super) point: Vector3<f64>,
     /// Direction in which fingers close there, from the x axis of the part, in radians. `None` if any face will do.
     pub(super) close_rad: Option<f64>,
+    /// Its distance from that point along x, y and z of the robot's base. Empty without one.
+    pub(super) shift: Vec<Value>,
+}
+
+impl Place {
+    /// A point of a frame.
+    pub(super) fn new(on: Frame, point: Vector3<f64>) -> Self {
+        Self { on, point, close_rad: None, shift: Vec::new() }
+    }
 }
 
 /// What a place moves with.
@@ -218,4 +278,6 @@ pub(super) enum Frame {
     Tool,
     Fixture(usize),
     Part(usize),
+    /// Where the gripper released a part for the last time, without a rotation.
+    Release(usize),
 }

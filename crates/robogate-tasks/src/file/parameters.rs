@@ -3,17 +3,18 @@
 use robogate_core::{
     Allowed, Assignment, Domain, Fault, FaultKind, Parameter, ParameterSpace, ParameterSpec, Scale, Value,
 };
-use robogate_physics::{FreeBodyRead, Gripper, Motion, Readback};
+use robogate_physics::{FreeBodyRead, Gripper, Motion, Readback, Robot};
 
-use super::model::{Model, ParameterModel};
-use super::numbers::{Draws, Numbers, PartTarget, Placed, Target, YAW, speed};
-use crate::arm::{Acting, Parameters, Row, Table};
+use super::model::{ChoiceModel, Model, ParameterModel};
+use super::numbers::{Draws, Numbers, PartTarget, Placed, Target, YAW, edge_m, speed};
+use crate::arm::{Acting, Parameters, Row, Table, within_reach};
 
 /// The rows that a file does not have to declare.
 static COMMON: Table<Numbers> = Table(&[Row::encoder_bias("encoder_bias_rad", 0.1)]);
 
 impl ParameterModel {
-    fn spec(&self) -> ParameterSpec {
+    /// The declaration of a parameter from which numbers of bodies follow, or none.
+    fn spec(&self, acts: bool) -> ParameterSpec {
         let [low, high] = self.range;
         ParameterSpec {
             name: self.name.as_str().into(),
@@ -22,7 +23,7 @@ impl ParameterModel {
             allowed: Allowed::Continuous { low, high },
             nominal: Some(Value::Number(self.nominal)),
             read_from: match self.target {
-                Target::Value(_) => "the referee",
+                Target::Value(_) if !acts => "the referee",
                 _ => "the scene in the engine",
             }
             .to_owned(),
@@ -31,59 +32,136 @@ impl ParameterModel {
     }
 }
 
+impl ChoiceModel {
+    fn spec(&self) -> ParameterSpec {
+        let word = |(word, _): &(String, Vec<usize>)| word.as_str().into();
+        ParameterSpec {
+            name: self.name.as_str().into(),
+            unit: String::new(),
+            meaning: self.meaning.clone(),
+            allowed: Allowed::Categorical { choices: self.words.iter().map(word).collect(), open: false },
+            nominal: self.words.get(self.nominal).map(|of| Value::Category(word(of))),
+            read_from: "the scene in the engine".to_owned(),
+            family: self.family,
+        }
+    }
+}
+
 impl Model {
+    /// The declarations of the parameters of the file.
+    fn own_specs(&self) -> impl Iterator<Item = ParameterSpec> {
+        let own = (0..self.parameters.len()).map(|index| self.parameter_spec(index));
+        self.choice.iter().map(ChoiceModel::spec).chain(own)
+    }
+
+    fn parameter_spec(&self, index: usize) -> ParameterSpec {
+        let acts = self.cases[0].sets.iter().any(|(_, value)| value.depends_on(index));
+        self.parameters[index].spec(acts)
+    }
+
+    fn own_spec(&self, name: &str) -> Option<ParameterSpec> {
+        let choice = self.choice.as_ref().filter(|choice| choice.name.as_str() == name).map(ChoiceModel::spec);
+        choice.or_else(|| self.parameter(name).map(|index| self.parameter_spec(index)))
+    }
+
     fn parameter(&self, name: &str) -> Option<usize> {
         self.parameters.iter().position(|parameter| parameter.name.as_str() == name)
     }
 
-    /// The numbers of the file with these values of parameters.
+    /// The numbers of the file with these values of parameters and settings.
     ///
     /// # Errors
     /// A setup fault for an unknown parameter or a value that is not accepted.
-    pub(super) fn numbers(&self, requested: &Assignment, gripper: &Gripper) -> Result<Numbers, Fault> {
-        let (own, common): (Vec<_>, Vec<_>) = requested.iter().partition(|(name, _)| self.parameter(name).is_some());
+    pub(super) fn numbers(&self, requested: &Assignment, settings: &[f64], robot: &Robot) -> Result<Numbers, Fault> {
+        let gripper = &robot.settings.gripper;
+        let (own, common): (Vec<_>, Vec<_>) = requested.iter().partition(|(name, _)| self.own_spec(name).is_some());
         let common = common.into_iter().map(|(name, value)| (name.into(), value.clone())).collect();
         let around = COMMON.decode(&common, gripper)?.around;
         let mut numbers = Numbers { around, ..self.nominal.clone() };
         for (name, value) in own {
             self.accepts(name, value, Some(gripper)).map_err(|why| Fault::new(FaultKind::Setup, why))?;
-            if let Some(index) = self.parameter(name) {
-                self.set(&mut numbers, index, number(value));
+            match (self.parameter(name), value) {
+                (Some(index), _) => self.set(&mut numbers, index, number(value)),
+                (None, Value::Category(word)) => self.choose(&mut numbers, word),
+                (None, _) => {}
             }
         }
+        self.complete(&mut numbers, settings, robot);
         Ok(numbers)
     }
 
     /// Sets a parameter.
     pub(super) fn set(&self, numbers: &mut Numbers, index: usize, value: f64) {
         numbers.values[index] = value;
-        if let Some(number) = self.parameters[index].target.number(numbers) {
-            *number = value;
+        self.parameters[index].target.set(numbers, value);
+    }
+
+    /// Chooses a word. An unknown one changes nothing.
+    pub(super) fn choose(&self, numbers: &mut Numbers, word: &str) {
+        let words = self.choice.iter().flat_map(|choice| &choice.words);
+        numbers.word = words.enumerate().find(|(_, (known, _))| known == word).map_or(numbers.word, |(index, _)| index);
+    }
+
+    /// Sets the settings, and what follows from parameters and from the reach of the arm.
+    pub(super) fn complete(&self, numbers: &mut Numbers, settings: &[f64], robot: &Robot) {
+        numbers.values.truncate(self.parameters.len());
+        numbers.values.extend(settings);
+        for (target, value) in &self.cases[numbers.word].sets {
+            let value = value.constant(&numbers.values).unwrap_or(f64::NAN);
+            target.set(numbers, value);
+        }
+        if self.document.scene.fit_reach {
+            let fitted = |[x, y, z]: [f64; 3]| {
+                let [[x, y]] = within_reach(robot, [[x, y]]);
+                [x, y, z]
+            };
+            let [[scale, _]] = within_reach(robot, [[1.0, 1.0]]);
+            numbers.scale = scale;
+            numbers.fixtures.iter_mut().for_each(|fixture| fixture.at = fitted(fixture.at));
+            let free = numbers.parts.iter_mut().zip(&self.parts).filter(|(_, model)| model.parent.is_none());
+            free.for_each(|(part, _)| part.placed.at = fitted(part.placed.at));
         }
     }
 
     /// The applied values of the requested parameters.
     pub(super) fn applied(&self, requested: &Assignment, acting: &Acting<'_, Numbers>, draws: &[Draws]) -> Assignment {
         let mut applied = COMMON.applied(requested, acting);
+        let sets = &self.cases[acting.settings.word].sets;
         for (name, value) in requested.iter() {
-            let Some(index) = self.parameter(name) else { continue };
-            let found = self.acting(index, acting, draws);
-            // A value that follows from several others has fewer digits than the request.
-            let close = (found - number(value)).abs() <= 1e-9 * number(value).abs().max(1e-3);
-            applied.set(name, if close { value.clone() } else { Value::Number(found) });
+            // What follows from a parameter must act, too.
+            let follows = |of: &super::conditions::Value| self.parameter(name).is_none_or(|index| of.depends_on(index));
+            let wrong = sets.iter().filter(|(_, of)| follows(of)).find_map(|(target, of)| {
+                let (wanted, found) =
+                    (of.constant(&acting.settings.values)?, self.acting(*target, None, acting, draws));
+                (!is_close(found, wanted)).then_some(found)
+            });
+            let found = match (self.parameter(name), wrong) {
+                (Some(index), None) => self.acting(self.parameters[index].target, Some(index), acting, draws),
+                (Some(_), Some(_)) => f64::NAN,
+                (None, wrong) if self.own_spec(name).is_some() => {
+                    applied.set(name, wrong.map_or_else(|| value.clone(), |_| Value::Category("not set up".into())));
+                    continue;
+                }
+                (None, _) => continue,
+            };
+            applied.set(name, if is_close(found, number(value)) { value.clone() } else { Value::Number(found) });
         }
-        applied
+        // In the order of the request, as records have them.
+        requested.iter().filter_map(|(name, _)| Some((name.into(), applied.get(name)?.clone()))).collect()
     }
 
-    /// The value of a parameter in the engine.
-    fn acting(&self, index: usize, acting: &Acting<'_, Numbers>, draws: &[Draws]) -> f64 {
+    /// The value of a number in the engine: of this parameter, if it is one.
+    fn acting(&self, target: Target, parameter: Option<usize>, acting: &Acting<'_, Numbers>, draws: &[Draws]) -> f64 {
         let engine = acting.found.engine;
-        match self.parameters[index].target {
-            Target::Value(_) => acting.settings.values[index],
+        match target {
+            Target::Value(_) => parameter.map_or(f64::NAN, |index| acting.settings.values[index]),
             Target::Friction if engine.friction == engine.table_friction => engine.friction,
             Target::Friction => f64::NAN,
             Target::Gravity => engine.gravity,
-            Target::Fixture(of, which) => coordinate(self.fixture_at(engine, of), &acting.settings.fixtures[of], which),
+            Target::Fixture(of, which) => {
+                let found = coordinate(self.fixture_at(engine, of), &acting.settings.fixtures[of], which);
+                if which < 2 { found / acting.settings.scale } else { found }
+            }
             Target::Speed(of) => self.motion(engine, of).as_mut().and_then(speed).map_or(f64::NAN, |speed| *speed),
             Target::Distance(of) => match self.motion(engine, of) {
                 Some(Motion::Shuttle { distance_m, .. }) => distance_m,
@@ -113,9 +191,9 @@ impl Model {
 
     fn read_part(&self, engine: &Readback, numbers: &Numbers, of: usize, which: PartTarget, draws: Draws) -> f64 {
         let joint = engine.joints.iter().find(|(part, _)| *part == of).map(|(_, joint)| joint);
-        let (mass_kg, pose) = match of.checked_sub(1).and_then(|other| engine.others.get(other)) {
-            Some(FreeBodyRead { mass_kg, pose, .. }) => (*mass_kg, *pose),
-            None => (engine.mass_kg, engine.object),
+        let (mass_kg, pose, shapes) = match of.checked_sub(1).and_then(|other| engine.others.get(other)) {
+            Some(FreeBodyRead { mass_kg, pose, parts, .. }) => (*mass_kg, *pose, parts),
+            None => (engine.mass_kg, engine.object, &engine.parts),
         };
         let part = &numbers.parts[of];
         // The pose at the value 0 of its joint, in the frame of its fixture.
@@ -132,8 +210,12 @@ impl Model {
         match which {
             // A part that starts in a region is where it was drawn.
             PartTarget::Placed(which @ (0 | 1)) if draws.place.is_some() => part.placed.at[which],
+            PartTarget::Placed(which @ (0 | 1)) if self.parts[of].parent.is_none() => {
+                (off(which) - drawn[which]) / numbers.scale
+            }
             PartTarget::Placed(which) => off(which) - drawn[which],
             PartTarget::Mass => mass_kg,
+            PartTarget::Size => edge_m(shapes.iter()).unwrap_or(f64::NAN),
             PartTarget::Spread => {
                 let moved = [off(0) - part.placed.at[0], off(1) - part.placed.at[1]];
                 crate::arm::scale(&draws.shift, &moved)
@@ -147,13 +229,20 @@ impl Model {
         }
     }
 
-    /// The parameter space: every parameter over its range.
-    pub(super) fn space(&self) -> Option<ParameterSpace> {
-        let parameter = |of: &ParameterModel| {
-            let [low, high] = of.range;
-            Parameter { name: of.name.as_str().into(), domain: Domain::Continuous { low, high, scale: Scale::Linear } }
+    /// The parameter space: every parameter over its range. `None` if the file names a built-in one.
+    pub(super) fn own_space(&self) -> Option<ParameterSpace> {
+        if self.space.is_some() {
+            return None;
+        }
+        let parameter = |of: ParameterSpec| {
+            let domain = match of.allowed {
+                Allowed::Continuous { low, high } => Domain::Continuous { low, high, scale: Scale::Linear },
+                Allowed::Integer { low, high } => Domain::Integer { low, high },
+                Allowed::Categorical { choices, .. } => Domain::Categorical { choices },
+            };
+            Parameter { name: of.name, domain }
         };
-        ParameterSpace::new(self.name.as_str(), self.parameters.iter().map(parameter).collect()).ok()
+        ParameterSpace::new(self.name.as_str(), self.own_specs().map(parameter).collect()).ok()
     }
 }
 
@@ -176,6 +265,11 @@ fn coordinate(pose: Option<nalgebra::Isometry3<f64>>, wanted: &Placed, which: us
     }
 }
 
+/// A value that follows from several others has fewer digits than the request.
+fn is_close(found: f64, wanted: f64) -> bool {
+    (found - wanted).abs() <= 1e-9 * wanted.abs().max(1e-3)
+}
+
 fn number(value: &Value) -> f64 {
     match value {
         Value::Number(number) => *number,
@@ -186,22 +280,22 @@ fn number(value: &Value) -> f64 {
 
 impl Parameters for Model {
     fn specs(&self, gripper: &Gripper) -> Vec<ParameterSpec> {
-        self.parameters.iter().map(ParameterModel::spec).chain(COMMON.specs(gripper)).collect()
+        self.own_specs().chain(COMMON.specs(gripper)).collect()
     }
 
     fn knows(&self, name: &str) -> bool {
-        self.parameter(name).is_some() || COMMON.knows(name)
+        self.own_spec(name).is_some() || COMMON.knows(name)
     }
 
     fn accepts(&self, name: &str, value: &Value, gripper: Option<&Gripper>) -> Result<(), String> {
-        match self.parameter(name) {
-            Some(index) => self.parameters[index].spec().accepts(value),
+        match self.own_spec(name) {
+            Some(spec) => spec.accepts(value),
             None => COMMON.accepts(name, value, gripper),
         }
     }
 
     fn accepts_all(&self, name: &str, domain: &Domain, gripper: Option<&Gripper>) -> Result<(), String> {
-        match self.parameter(name) {
+        match self.own_spec(name) {
             Some(_) => domain.extremes().iter().try_for_each(|value| self.accepts(name, value, gripper)),
             None => COMMON.accepts_all(name, domain, gripper),
         }

@@ -6,10 +6,10 @@ use nalgebra::{Isometry3, Vector3};
 use robogate_core::{Assignment, FailureMode, Measures, Word};
 use robogate_physics::{Collision, GripperCommand, Hit, Part};
 
-use super::conditions::{Body, Now};
-use super::model::{Measured, Model};
+use super::conditions::{Body, Condition, Hand, Now, Value};
+use super::model::{Case, How, Model};
 use super::numbers::{Draws, Layout, Numbers};
-use crate::arm::{Acting, Bodies, Found, Grip, GripChange, Record, Sight, Trial, still};
+use crate::arm::{Acting, Bodies, Found, Grip, GripChange, Record, Sight, Trial, displacement, still, touching};
 
 /// The robot touched a fixture that it may not touch, or itself.
 pub(super) const COLLISION: FailureMode = FailureMode::constant("collision");
@@ -27,14 +27,19 @@ pub(super) struct Referee {
     /// Positions of the parts at the first step.
     starts: Option<Vec<Vector3<f64>>>,
     grip: Grip,
-    selected: usize,
-    dropped: Vec<bool>,
-    /// Height at which each part was released, in metres.
+    /// Grip force, in newtons.
+    grip_force_n: f64,
+    hand: Hand,
+    /// Height at which each part was released, in metres. A part that the gripper closes at has none.
     released_m: Vec<Option<f64>>,
     memory: Vec<f64>,
     reached: usize,
     measured: Vec<Option<f64>>,
+    /// The failure of the episode if the time limit passed now, if the file names one.
+    at_limit: Option<FailureMode>,
     still: bool,
+    /// Time of the last step, in seconds.
+    time: f64,
     record: Record,
 }
 
@@ -46,22 +51,34 @@ impl Referee {
         draws: Vec<Draws>,
         grip_force_n: f64,
     ) -> Self {
+        let (grip_force_n, parts) = (grip_force_n * numbers.around.gripper.force_scale, model.parts.len());
         Self {
-            grip: Grip::new(grip_force_n * numbers.around.gripper.force_scale),
+            grip: Grip::new(grip_force_n),
+            grip_force_n,
             starts: None,
-            selected: 0,
-            dropped: vec![false; model.parts.len()],
-            released_m: vec![None; model.parts.len()],
-            memory: vec![f64::INFINITY; model.slots],
+            hand: Hand {
+                dropped: vec![false; parts],
+                lost: vec![false; parts],
+                released_at: vec![None; parts],
+                ..Hand::default()
+            },
+            released_m: vec![None; parts],
+            memory: vec![f64::INFINITY; model.cases[numbers.word].slots],
             reached: 0,
             measured: vec![None; model.measures.len()],
+            at_limit: None,
             still: false,
+            time: 0.0,
             record: Record::default(),
             model,
             numbers,
             layout,
             draws,
         }
+    }
+
+    fn case(&self) -> &Case {
+        &self.model.cases[self.numbers.word]
     }
 
     /// The contact of this step that is a collision.
@@ -83,27 +100,36 @@ impl Referee {
     }
 
     fn follow_grip(&mut self, sight: &Sight<'_>) {
-        let name = &self.model.parts[self.selected].name;
+        let (of, hand) = (self.hand.selected, &mut self.hand);
+        let name = &self.model.parts[of].name;
+        let in_hand = self.grip.in_hand().filter(|_| touching(sight.view));
+        hand.slip_m = in_hand.map(|in_hand| displacement(&in_hand, sight.view));
+        hand.grip_n = if self.grip.is_free() { 0.0 } else { self.grip_force_n };
         match self.grip.observe(sight.command, sight.time, sight.view) {
             Some(GripChange::Closes) => {
-                self.released_m[self.selected] = None;
-                self.record.note("gripper closes");
+                (self.released_m[of], hand.released) = (None, None);
+                self.record.note(format!("gripper closes at {name}"));
             }
             Some(GripChange::Held) => self.record.note(format!("{name} held")),
-            // Closing without a part is no failure here: a closed gripper can push.
-            Some(GripChange::Missed) | None => {}
+            // Closing without a part is a failure only where the file says so: a closed gripper can push.
+            Some(GripChange::Missed) => {
+                self.record.note("the gripper closed without a part");
+                hand.missed = true;
+            }
             Some(GripChange::Lost) => {
                 self.record.note(format!("{name} lost"));
-                self.dropped[self.selected] = true;
+                (hand.dropped[of], hand.lost[of]) = (true, true);
             }
             Some(GripChange::Released) => {
+                let at = sight.view.object.translation.vector;
                 self.record.note(format!("{name} released"));
-                self.released_m[self.selected] = Some(sight.view.object.translation.z);
+                (self.released_m[of], hand.released_at[of], hand.released) = (Some(at.z), Some(at), Some(of));
             }
+            None => {}
         }
         for (of, released) in self.released_m.iter().enumerate() {
             let falls = |height: f64| sight.bodies.pose(of).translation.z < height - FALL_M;
-            self.dropped[of] |= self.numbers.parts[of].joint.is_none() && released.is_some_and(falls);
+            self.hand.dropped[of] |= self.numbers.parts[of].joint.is_none() && released.is_some_and(falls);
         }
     }
 }
@@ -126,18 +152,18 @@ impl Trial for Referee {
     fn select(&mut self, command: GripperCommand, tcp: &Isometry3<f64>, bodies: &dyn Bodies) -> Option<usize> {
         // An open gripper that closes acts on the nearest part.
         if command == GripperCommand::Close && self.grip.is_free() {
-            let near = |of: usize| distance(&self.model.parts[of].shapes, &bodies.pose(of), &tcp.translation.vector);
+            let near = |of: usize| distance(&self.numbers.parts[of].shapes, &bodies.pose(of), &tcp.translation.vector);
             let nearest = (0..self.model.parts.len()).min_by(|a, b| near(*a).total_cmp(&near(*b)));
-            self.selected = nearest.unwrap_or(self.selected);
+            self.hand.selected = nearest.unwrap_or(self.hand.selected);
         }
-        Some(self.selected)
+        Some(self.hand.selected)
     }
 
     fn at_rest(&self) -> bool {
-        let model = &self.model;
-        let conditions = std::iter::once(&model.success).chain(model.failures.iter().map(|failure| &failure.when));
-        let mut conditions = conditions.chain(model.stages.iter().map(|(_, when)| when));
-        self.still && !self.record.is_over() && !conditions.any(|of| of.can_change_at_rest(&self.memory))
+        let case = self.case();
+        let mut conditions = case.conditions().chain(case.named.iter().map(|(condition, _)| condition));
+        let changes = |of: &Condition| of.can_change_at_rest(&self.memory, &self.numbers.values, self.time);
+        self.still && !self.record.is_over() && !conditions.any(changes)
     }
 
     fn observe(&mut self, sight: &Sight<'_>) {
@@ -145,6 +171,7 @@ impl Trial for Referee {
             return;
         }
         let parts = self.model.parts.len();
+        self.time = sight.time;
         self.still = self.grip.is_free() && sight.command == GripperCommand::Open && still(sight.bodies, parts);
         self.follow_grip(sight);
         let starts = self
@@ -155,35 +182,46 @@ impl Trial for Referee {
             sight,
             layout: &self.layout,
             values: &self.numbers.values,
+            parts: &self.numbers.parts,
             starts: &starts,
-            held: self.grip.in_hand().map(|_| self.selected),
-            dropped: &self.dropped,
+            held: self.grip.in_hand().map(|_| self.hand.selected),
+            hand: &self.hand,
         };
         let (model, memory) = (&self.model, &mut self.memory);
-        for (measure, so_far) in model.measures.iter().zip(&mut self.measured) {
-            *so_far = match &measure.of {
-                Measured::Max(value) => Some(so_far.unwrap_or(f64::NEG_INFINITY).max(value.now(&now))),
-                Measured::Min(value) => Some(so_far.unwrap_or(f64::INFINITY).min(value.now(&now))),
-                Measured::Final(value) => Some(value.now(&now)),
-                Measured::First(condition) => {
-                    let holds = condition.now(&now, memory);
-                    so_far.or_else(|| holds.then_some(sight.time))
-                }
-            };
+        let case = &model.cases[self.numbers.word];
+        for (condition, slot) in &case.named {
+            memory[*slot] = if condition.now(&now, memory) { sight.time } else { f64::INFINITY };
         }
-        for (index, (name, when)) in model.stages.iter().enumerate() {
+        for (measure, so_far) in case.measures.iter().zip(&mut self.measured) {
+            for of in measure {
+                let counts = of.when.as_ref().is_none_or(|when| when.now(&now, memory));
+                let known = |value: &Value| Some(value.now(&now)).filter(|value| counts && !value.is_nan());
+                *so_far = match &of.how {
+                    How::Max(value) => known(value).map(|x| so_far.map_or(x, |so_far| so_far.max(x))).or(*so_far),
+                    How::Min(value) => known(value).map(|x| so_far.map_or(x, |so_far| so_far.min(x))).or(*so_far),
+                    How::Final(value) => known(value).or(*so_far),
+                    How::First(condition) => {
+                        let holds = condition.now(&now, memory) && counts;
+                        so_far.or_else(|| holds.then_some(sight.time))
+                    }
+                };
+            }
+        }
+        for (index, (name, when)) in model.stages.iter().zip(&case.stages).enumerate() {
             if when.now(&now, memory) && index == self.reached {
                 self.reached += 1;
                 self.record.note(format!("stage {name}"));
             }
         }
-        let success = model.success.now(&now, memory);
-        let mut failure = None;
-        for of in &model.failures {
-            if of.when.now(&now, memory) {
-                failure = failure.or(Some(of.mode));
+        let success = case.success.as_ref().is_some_and(|success| success.now(&now, memory));
+        let (mut failure, mut at_limit) = (None, None);
+        for ((mode, table), when) in model.failures.iter().zip(&model.document.failure).zip(&case.failures) {
+            let first = if table.at_limit { &mut at_limit } else { &mut failure };
+            if when.now(&now, memory) {
+                *first = first.or(Some(*mode));
             }
         }
+        self.at_limit = at_limit;
         match self.collision(&now) {
             Some(collision) => self.record.end(Some(COLLISION), sight.time, Some(collision)),
             None if failure.is_some() => self.record.end(failure, sight.time, None),
@@ -194,12 +232,16 @@ impl Trial for Referee {
     }
 
     fn measures(&self) -> Measures {
-        let own = self.model.measures.iter().zip(&self.measured).map(|(measure, value)| (measure.name, *value));
+        let own = self.model.measures.iter().zip(&self.measured).map(|((name, _), value)| (*name, *value));
         let stages = (!self.model.stages.is_empty()).then_some((STAGES, Some(self.reached as f64)));
         own.chain(stages).collect()
     }
 
     fn record(&mut self) -> &mut Record {
         &mut self.record
+    }
+
+    fn mode_at_limit(&self) -> FailureMode {
+        self.at_limit.unwrap_or(FailureMode::TIMEOUT)
     }
 }

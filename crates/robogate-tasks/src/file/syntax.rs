@@ -111,7 +111,8 @@ fn tokens(text: &str) -> Result<Vec<(Token, usize)>, Wrong> {
                     if bytes.get(end) == Some(&b'/') {
                         let over = run(end + 1, &|byte| byte.is_ascii_alphabetic());
                         if is_unit(&text[end + 1..over]) {
-                            end = over;
+                            let power = bytes[over..].starts_with(b"^2") || bytes[over..].starts_with(b"^3");
+                            end = over + 2 * usize::from(power);
                         }
                     }
                     at = end;

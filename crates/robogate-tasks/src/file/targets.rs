@@ -2,14 +2,18 @@
 
 use robogate_physics::Motion;
 
-use super::document::{Document, ParameterTable};
-use super::model::{ParameterModel, Reading};
+use super::document::{ChoiceTable, Document, ParameterTable, Text};
+use super::model::{ChoiceModel, ParameterModel, Reading, SettingModel};
+use super::names::{Names, RESERVED};
 use super::numbers::{Frame, Numbers, PartTarget, Target, YAW};
 use super::units::{Dimension, quantities};
 use crate::settings::unit_of;
 
 /// The coordinates of a body in paths of parameters.
 const PLACED: [&str; 4] = ["at.x", "at.y", "at.z", "yaw"];
+
+/// The largest number of words of a choice: every word has conditions and skills of its own.
+const MOST_WORDS: usize = 24;
 
 impl Reading<'_, '_> {
     pub(super) fn parameters(&mut self, document: &Document, nominal: &mut Numbers) -> Vec<ParameterModel> {
@@ -23,9 +27,7 @@ impl Reading<'_, '_> {
             if let Some(other) = parameters.iter().find(|known| sets(known.target)) {
                 self.problems.of(&table.name, format!("`{}` and `{}` set the same", other.name, parameter.name));
             }
-            if let Some(number) = parameter.target.number(nominal) {
-                *number = parameter.nominal;
-            }
+            parameter.target.set(nominal, parameter.nominal);
             nominal.values.push(parameter.nominal);
             self.names.parameters.push((parameter.name.to_string(), parameter.dimension));
             self.names.nominal.push(parameter.nominal);
@@ -38,7 +40,7 @@ impl Reading<'_, '_> {
         let name = self.word(&table.name)?;
         let (target, dimension) = match &table.sets {
             Some(path) => {
-                let target = self.target(&path.text, nominal);
+                let target = self.names.target(&path.text, nominal);
                 self.problems.take(path, target)?
             }
             None => {
@@ -49,16 +51,12 @@ impl Reading<'_, '_> {
                 (Target::Value(dimension), dimension)
             }
         };
-        let range: [f64; 2] = self.problems.take(&table.range, quantities(&table.range.text, dimension))?;
-        if range[0] >= range[1] {
-            let shown = &table.range.text;
-            self.problems.of(&table.range, format!("`{shown}`: expected the smaller value first"));
-        }
-        let nominal = match (&table.nominal, target.number(nominal)) {
+        let range = self.range(&table.range, dimension)?;
+        let nominal = match (&table.nominal, target.get(nominal)) {
             (Some(text), _) => self.number(text, dimension, range)?,
-            (None, Some(value)) if (range[0]..=range[1]).contains(value) => *value,
+            (None, Some(value)) if (range[0]..=range[1]).contains(&value) => value,
             (None, Some(value)) => {
-                let (value, unit) = (*value, dimension.unit());
+                let unit = dimension.unit();
                 let why = format!("the value in the file, {value} {unit}, is outside of the range. Add `nominal`");
                 self.problems.of(&table.range, why);
                 return None;
@@ -68,12 +66,7 @@ impl Reading<'_, '_> {
                 return None;
             }
         };
-        let unit = unit_of(name.as_str());
-        if !unit.is_empty() && unit != dimension.unit() {
-            let is =
-                if dimension == Dimension::NONE { "has no unit".into() } else { format!("is in {}", dimension.unit()) };
-            self.problems.of(&table.name, format!("`{name}` ends with the unit {unit}, but its value {is}"));
-        }
+        self.check_unit(&table.name, dimension);
         Some(ParameterModel {
             name,
             target,
@@ -86,8 +79,87 @@ impl Reading<'_, '_> {
         })
     }
 
+    fn check_unit(&mut self, name: &Text, dimension: Dimension) {
+        let unit = unit_of(&name.text);
+        if !unit.is_empty() && unit != dimension.unit() {
+            let is =
+                if dimension == Dimension::NONE { "has no unit".into() } else { format!("is in {}", dimension.unit()) };
+            self.problems.of(name, format!("`{}` ends with the unit {unit}, but its value {is}", name.text));
+        }
+    }
+
+    /// The numbers that a user can set, whose values follow those of the parameters.
+    pub(super) fn settings(&mut self, document: &Document, nominal: &mut Numbers) -> Vec<SettingModel> {
+        let mut settings: Vec<SettingModel> = Vec::new();
+        for table in &document.setting {
+            let Some(name) = self.word(&table.name) else { continue };
+            let taken = self.names.parameters.iter().any(|(known, _)| known == name.as_str());
+            if taken || crate::arm::rows::<super::FileTask>([]).iter().any(|known| known.name == name.as_str()) {
+                self.problems.of(&table.name, format!("a second parameter or setting `{name}`"));
+            }
+            // The unit of the range says what it is.
+            let last = table.range.text.rsplit(',').next().unwrap_or_default();
+            let Some(found) = self.problems.take(&table.range, super::units::quantity(last)) else { continue };
+            let Some(range) = self.range(&table.range, found.dimension) else { continue };
+            let Some(default) = self.number(&table.default, found.dimension, range) else { continue };
+            self.check_unit(&table.name, found.dimension);
+            nominal.values.push(default);
+            self.names.parameters.push((name.to_string(), found.dimension));
+            self.names.nominal.push(default);
+            settings.push(SettingModel { name, range, default });
+        }
+        settings
+    }
+
+    fn range(&mut self, text: &Text, dimension: Dimension) -> Option<[f64; 2]> {
+        let range: [f64; 2] = self.problems.take(text, quantities(&text.text, dimension))?;
+        if range[0] >= range[1] {
+            self.problems.of(text, format!("`{}`: expected the smaller value first", text.text));
+        }
+        Some(range)
+    }
+
+    /// The parameter that says which parts have which roles.
+    pub(super) fn choice(&mut self, table: &ChoiceTable) -> Option<ChoiceModel> {
+        let name = self.word(&table.name)?;
+        if self.names.parameters.iter().any(|(known, _)| known == name.as_str()) {
+            self.problems.of(&table.name, format!("a second parameter `{name}`"));
+        }
+        let roles: Vec<String> = table.roles.text.split(',').map(|role| role.trim().to_owned()).collect();
+        for (index, role) in roles.iter().enumerate() {
+            if self.names.frame_named(0, role).is_ok() || RESERVED.contains(&&**role) || roles[..index].contains(role) {
+                self.problems.of(&table.roles, format!("a second body or role `{role}`. Expected different names"));
+            }
+        }
+        if !(1..=MOST_WORDS).contains(&table.words.len()) {
+            self.problems.of(&table.name, format!("found {} words. Expected 1 to {MOST_WORDS}", table.words.len()));
+        }
+        let mut words = Vec::new();
+        for (word, parts) in &table.words {
+            let found: Result<Vec<usize>, _> = parts
+                .text
+                .split(',')
+                .map(|part| self.names.part_named(0, part.trim()).map_err(|(_, why)| why))
+                .collect();
+            let Some(found) = self.problems.take(parts, found) else { continue };
+            if found.len() != roles.len() {
+                let (count, all) = (found.len(), roles.len());
+                self.problems.of(parts, format!("`{}` has {count} parts for {all} roles", parts.text));
+            }
+            words.push((word.clone(), found));
+        }
+        let nominal = words.iter().position(|(word, _)| *word == table.nominal.text);
+        if nominal.is_none() {
+            self.problems.of(&table.nominal, format!("`{}` is not one of the words", table.nominal.text));
+        }
+        let family = table.family.as_ref().and_then(|family| self.word(family));
+        Some(ChoiceModel { name, roles, words, nominal: nominal?, meaning: table.meaning.clone(), family })
+    }
+}
+
+impl Names {
     /// What a path sets, and the dimension of its values.
-    fn target(&self, path: &str, nominal: &Numbers) -> Result<(Target, Dimension), String> {
+    pub(super) fn target(&self, path: &str, nominal: &Numbers) -> Result<(Target, Dimension), String> {
         let (owner, rest) = path.split_once('.').unwrap_or((path, ""));
         let unknown =
             |known: &[&str]| format!("`{owner}` has no `{rest}`: {}", robogate_core::hint(rest, known.iter().copied()));
@@ -100,7 +172,7 @@ impl Reading<'_, '_> {
                 _ => Err(unknown(&["friction", "gravity"])),
             };
         }
-        match (self.names.frame_named(0, owner).map_err(|(_, why)| why)?, placed) {
+        match (self.frame_named(0, owner).map_err(|(_, why)| why)?, placed) {
             (Frame::Fixture(of), Some(which)) => Ok((Target::Fixture(of, which), length(which))),
             (Frame::Fixture(of), None) => match (rest, nominal.motions[of]) {
                 ("speed", Some(Motion::Turn { .. })) => Ok((Target::Speed(of), Dimension::TURNING)),
@@ -111,7 +183,7 @@ impl Reading<'_, '_> {
             },
             (Frame::Part(of), Some(which)) => Ok((Target::Part(of, PartTarget::Placed(which)), length(which))),
             (Frame::Part(of), None) => {
-                let joint = self.names.parts[of].1;
+                let joint = self.parts[of].1;
                 let force = if joint == Some(Dimension::ANGLE) { Dimension::TORQUE } else { Dimension::FORCE };
                 let of_joint = |which: PartTarget, dimension: &dyn Fn(Dimension) -> Dimension| {
                     let joint = joint.ok_or_else(|| format!("part `{owner}` has no joint"))?;
@@ -119,6 +191,10 @@ impl Reading<'_, '_> {
                 };
                 match rest {
                     "mass" => Ok((Target::Part(of, PartTarget::Mass), Dimension::MASS)),
+                    "size" if nominal.parts[of].size_m().is_none() => {
+                        Err(format!("`{owner}` has no size. Expected a part of one cube or one ball"))
+                    }
+                    "size" => Ok((Target::Part(of, PartTarget::Size), Dimension::LENGTH)),
                     "spread" => Ok((Target::Part(of, PartTarget::Spread), Dimension::LENGTH)),
                     "spin" => Ok((Target::Part(of, PartTarget::Spin), Dimension::ANGLE)),
                     "joint.damping" => of_joint(PartTarget::Damping, &|joint| force.times(Dimension::TIME).over(joint)),
@@ -128,7 +204,7 @@ impl Reading<'_, '_> {
                     "joint.rest" => of_joint(PartTarget::Rest, &|joint| joint),
                     _ => {
                         let joint = ["joint.damping", "joint.friction", "joint.stiffness", "joint.start", "joint.rest"];
-                        Err(unknown(&[&PLACED[..], &["mass", "spread", "spin"], &joint].concat()))
+                        Err(unknown(&[&PLACED[..], &["mass", "size", "spread", "spin"], &joint].concat()))
                     }
                 }
             }

@@ -50,7 +50,7 @@ impl Insertion {
 on_arm!(Insertion);
 
 impl HasSettings for Insertion {
-    fn rows() -> Vec<SettingRow<Self>> {
+    fn rows(&self) -> Vec<SettingRow<Self>> {
         rows([
             SettingRow::number(
                 "seat_tolerance_m",

@@ -45,7 +45,7 @@ impl ArmDeclaration for Insertion {
         &TABLE
     }
 
-    fn first_part(&self, instance: &TaskInstance) -> Result<[f64; 4], Fault> {
+    fn first_part(&self, instance: &TaskInstance, _: &Robot) -> Result<[f64; 4], Fault> {
         let [x, y, z] = Briefing::of(instance)?.peg.position;
         Ok([x, y, z + SHAFT_M + 0.5 * HEAD_HEIGHT_M, HEAD_M])
     }
@@ -58,8 +58,8 @@ impl ArmDeclaration for Insertion {
         Box::new(Scripted::new(robot, chain))
     }
 
-    fn tool_expert(&self, robot: Robot) -> Option<Box<dyn Policy>> {
-        Some(Box::new(ToolExpert::new(NAME, controller::way, robot)))
+    fn tool_expert(&self, robot: Robot, _: Chain) -> Option<Box<dyn Policy>> {
+        Some(Box::new(ToolExpert::new(NAME, Arc::new(controller::way), robot)))
     }
 }
 

@@ -112,7 +112,7 @@ impl PickPlace {
 on_arm!(PickPlace);
 
 impl HasSettings for PickPlace {
-    fn rows() -> Vec<SettingRow<Self>> {
+    fn rows(&self) -> Vec<SettingRow<Self>> {
         let own = [
             SettingRow::number(
                 "tolerance_m",

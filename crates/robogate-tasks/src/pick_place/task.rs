@@ -70,7 +70,7 @@ impl ArmDeclaration for PickPlace {
         "learned"
     }
 
-    fn first_part(&self, instance: &TaskInstance) -> Result<[f64; 4], Fault> {
+    fn first_part(&self, instance: &TaskInstance, _: &Robot) -> Result<[f64; 4], Fault> {
         let briefing = Briefing::of(instance)?;
         let [x, y, z] = briefing.object_pose.position;
         Ok([x, y, z, briefing.object_extent_m[0]])
@@ -91,8 +91,8 @@ impl ArmDeclaration for PickPlace {
         Box::new(Scripted::new(robot, chain))
     }
 
-    fn tool_expert(&self, robot: Robot) -> Option<Box<dyn Policy>> {
-        Some(Box::new(ToolExpert::new(NAME, scripted::way, robot)))
+    fn tool_expert(&self, robot: Robot, _: Chain) -> Option<Box<dyn Policy>> {
+        Some(Box::new(ToolExpert::new(NAME, Arc::new(scripted::way), robot)))
     }
 }
 

@@ -13,8 +13,10 @@ use robogate_physics::MujocoEngine;
 use robogate_physics::RapierEngine;
 use robogate_physics::{Engine, Robot};
 use robogate_tasks::claims::{Bench, Setup, Workbench};
+use robogate_tasks::file::{FileTask, shipped};
+use robogate_tasks::insertion::Insertion;
 use robogate_tasks::pick_place::PickPlace;
-use robogate_tasks::{ArmTask, Rig, built_in_space};
+use robogate_tasks::{ArmDeclaration, ArmTask, Rig, built_in_space};
 
 /// Creates one test per claim and engine.
 macro_rules! of_every_engine {
@@ -31,6 +33,16 @@ macro_rules! of_every_engine {
             $(#[test] fn $claim() { super::$claim(super::EngineKind::Rapier) })*
         }
     };
+}
+
+/// The built-in task from a file.
+pub(crate) fn stacking() -> &'static FileTask {
+    shipped().find(|task| task.name() == "stacking").unwrap()
+}
+
+/// Every built-in task for an arm.
+pub(crate) fn arm_tasks() -> [&'static dyn ArmTask; 3] {
+    [&PickPlace::DEFAULT, stacking(), &Insertion::DEFAULT]
 }
 
 /// The engines.

@@ -8,8 +8,12 @@ use robogate_core::{Assignment, Environment, Measures, Outcome, Pose, Scenario, 
 use robogate_physics::{Engine, MujocoEngine, Robot, built_in_robot, isometry};
 
 use super::{ArmEnvironment, ArmTask, Rig};
+use crate::file::{FileTask, shipped};
 use crate::insertion::{Insertion, parts::DEPTH_M};
-use crate::stacking::Stacking;
+
+fn stacking() -> &'static FileTask {
+    shipped().next().unwrap()
+}
 
 /// The tolerance of a place in a stack, in metres.
 const TOLERANCE_M: f64 = 0.01;
@@ -164,7 +168,7 @@ fn insertion_is_foreseen() {
 fn stacking_is_foreseen() {
     for name in ROBOTS {
         let robot = built_in_robot(name).unwrap();
-        let mut environment = environment(&Stacking::DEFAULT, &robot);
+        let mut environment = environment(stacking(), &robot);
         let mut compared = 0;
         for index in 0..4 {
             let values = [
@@ -179,8 +183,10 @@ fn stacking_is_foreseen() {
             let margin = feature(&environment, &scenario, "place_margin_m");
             let details = environment.reset(&scenario).unwrap().instance.details;
             for (body, part) in ["a", "b", "c"].iter().enumerate() {
-                let (at, [x, y, _]): (_, [f64; 3]) =
-                    (environment.engine().free_body(body), place(&details["parts"][body]).translation.vector.into());
+                let (at, [x, y, _]): (_, [f64; 3]) = (
+                    environment.engine().free_body(body),
+                    place(&details["parts"][format!("part_{part}")]).translation.vector.into(),
+                );
                 let found = [at.translation.x - x, at.translation.y - y, at.rotation.euler_angles().2];
                 for (suffix, found) in ["shift_x_m", "shift_y_m", "turn_rad"].iter().zip(found) {
                     let draw = of(&draws, &format!("part_{part}_{suffix}"));
@@ -188,8 +194,7 @@ fn stacking_is_foreseen() {
                 }
             }
             let moments = ["grasp_second", "place_second", "grasp_third", "place_third"];
-            let last =
-                follow(&Stacking::DEFAULT, &mut environment, &robot, &scenario, &moments, "", |_, _| {}).unwrap();
+            let last = follow(stacking(), &mut environment, &robot, &scenario, &moments, "", |_, _| {}).unwrap();
             if last.ending.is_some_and(|ending| ending.failure.is_none()) {
                 let offset = last.measures.get("stack_offset_m").unwrap();
                 let predicted = TOLERANCE_M - margin;
@@ -229,7 +234,7 @@ fn draws_are_declared_and_features_are_finite() {
             &robot,
             &[("encoder_bias_rad", 0.004), ("hole_jitter_m", 0.004), ("clearance_m", 0.0003)],
         );
-        check(&Stacking::DEFAULT, &robot, &[("encoder_bias_rad", 0.01), ("yaw_jitter_rad", 0.3), ("overhang", 0.4)]);
+        check(stacking(), &robot, &[("encoder_bias_rad", 0.01), ("yaw_jitter_rad", 0.3), ("overhang", 0.4)]);
     }
 }
 
@@ -249,7 +254,7 @@ fn features_follow_the_parameters() {
     let stiff = |stiffness| of("binding_margin", &[("clearance_m", 3e-4), ("arm_stiffness", stiffness)]);
     assert!(stiff(1.0) < stiff(0.1));
     assert!(of("grip_margin", &[("mass_kg", 2.0)]) < of("grip_margin", &[]));
-    let stacking = environment(&Stacking::DEFAULT, &robot);
+    let stacking = environment(stacking(), &robot);
     let of = |name: &str, values: &[(&str, f64)]| feature(&stacking, &scenario(3, values), name);
     assert!((of("stability_margin_m", &[("overhang", 0.0)]) - 0.025).abs() < 1e-9);
     assert!(of("stability_margin_m", &[("overhang", 0.4)]) < 0.0, "three cubes stand up to an offset of a third");

@@ -69,7 +69,7 @@ fn is_mentioned(line: &str, word: &str) -> bool {
 fn additions_touch_the_listed_files() {
     let text = text();
     for (title, words, most) in [
-        ("## Add a task", &["stacking"][..], 4),
+        ("## Add a task", &["insertion"][..], 4),
         ("## Add an engine", &["rapier"], 6),
         ("## Add a robot", &["ur3e"], 2),
         ("## Add a policy dialect", &["gr00t", "Gr00t"], 7),

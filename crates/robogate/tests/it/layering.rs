@@ -131,7 +131,6 @@ const PICK_AND_PLACE: &[&str] = &[
 const MAY_NAME_THEM: &[&str] = &[
     // The task, its analysis, and the code that only serves it. Other tasks have friction and collisions too.
     "robogate-tasks/src/pick_place",
-    "robogate-tasks/src/stacking",
     "robogate-tasks/src/insertion",
     "robogate-tasks/src/file",
     "robogate-analysis/src/pick_place",

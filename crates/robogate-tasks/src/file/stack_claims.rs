@@ -1,12 +1,11 @@
-//! Claims about the physics of stacking: the limits of overhang of [`super::statics`].
+//! Claims about the physics of stacks: the limits of overhang of [`super::statics`].
 
 use nalgebra::Isometry3;
-use robogate_core::{Assignment, Outcome};
+use robogate_core::{Assignment, FailureMode, Outcome};
 use robogate_physics::{Engine, GRAVITY, Gripper, Object, Scene};
 
-use super::parameters::Settings;
-use super::scene;
-use super::spec::TOPPLED;
+use super::numbers::{Layout, Numbers};
+use super::shipped;
 use super::statics::{self, Level};
 use crate::arm::claims::{self, Claim, ClaimResult, Ground, let_run, numbers, stream, threshold};
 
@@ -21,23 +20,17 @@ pub(super) const CLAIMS: [Claim; 4] = [
 const SIZE_M: f64 = 0.05;
 
 /// The scene of a stack of parts at these offsets (fractions of their size) with these masses (kg).
-fn stack(offsets: &[f64], masses: &[f64]) -> Scene {
-    let settings = Settings { size_m: SIZE_M, mass_kg: 1.0, mass_step: 1.0, ..Settings::default() };
-    let mut scene = Scene { friction: 0.6, gravity: GRAVITY, ..scene::scene(&settings) };
+fn stack(offsets: &[f64], masses: &[f64]) -> Result<Scene, String> {
+    let task = shipped().next().ok_or("the program has no task from a file")?;
+    let mut numbers = Numbers { friction: 0.6, gravity: GRAVITY, ..task.model.nominal.clone() };
+    numbers.parts.iter_mut().zip(masses).for_each(|(part, mass)| part.mass_kg = *mass);
     let pose =
-        |level: usize| Isometry3::translation(0.55 + offsets[level] * SIZE_M, 0.2, (level as f64 + 0.5) * SIZE_M);
-    let weigh = |object: &mut Object, level: usize| {
-        object.mass.inertia *= masses[level] / object.mass.mass_kg;
-        object.mass.mass_kg = masses[level];
-    };
-    scene.object_pose = pose(0);
-    weigh(&mut scene.object, 0);
+        |(level, x): (usize, &f64)| Isometry3::translation(0.55 + x * SIZE_M, 0.2, (level as f64 + 0.5) * SIZE_M);
+    let mut parts: Vec<_> = offsets.iter().enumerate().map(pose).collect();
+    parts.resize(numbers.parts.len(), Isometry3::identity());
+    let mut scene = task.scene(&numbers, &Layout { parts, ..Layout::default() });
     scene.others.truncate(offsets.len() - 1);
-    for (level, body) in (1..).zip(&mut scene.others) {
-        body.pose = pose(level);
-        weigh(&mut body.object, level);
-    }
-    scene
+    Ok(scene)
 }
 
 /// Whether a stack stands after 3 s.
@@ -65,7 +58,7 @@ fn standing(ground: &Ground<'_>, _: usize) -> Result<ClaimResult, String> {
     for (offsets, masses) in pairs.into_iter().chain(triples).chain(others) {
         let level = |(x, mass): (&f64, &f64)| Level { at: [x * SIZE_M, 0.0], mass_kg: *mass };
         let levels: Vec<Level> = offsets.iter().zip(&masses).map(level).collect();
-        let (due, found) = (statics::margin(&levels, SIZE_M) > 0.0, stands(&mut *engine, &stack(&offsets, &masses))?);
+        let (due, found) = (statics::margin(&levels, SIZE_M) > 0.0, stands(&mut *engine, &stack(&offsets, &masses)?)?);
         count += 1;
         if due == found {
             agree += 1;
@@ -81,7 +74,9 @@ fn standing(ground: &Ground<'_>, _: usize) -> Result<ClaimResult, String> {
 /// Three parts with equal offsets stand up to an offset of a third of their size each.
 fn overhang(ground: &Ground<'_>, _: usize) -> Result<ClaimResult, String> {
     let mut trials = ground.trials(&ground.setup())?;
-    let stands = |overhang: f64| trials.run(0, numbers([("overhang", overhang)])).outcome != Outcome::Failure(TOPPLED);
+    let stands = |overhang: f64| {
+        trials.run(0, numbers([("overhang", overhang)])).outcome != Outcome::Failure(FailureMode::constant("toppled"))
+    };
     let [low, high] = threshold(stands, [0.25, 0.42], 0.02)?;
     let tally = trials.tally;
     let holds = tally.invalid == 0 && low < 1.0 / 3.0 + 0.05 && high > 1.0 / 3.0 - 0.05;
