@@ -126,6 +126,7 @@ impl Workers<'_> {
                     subject.keep_files(dir);
                     signals = subject.begin_signals(dir, false);
                 }
+                Event::StageFinished { .. } => subject.sync_signals(),
                 // Arms may follow, whose episodes have the same indices.
                 Event::Finished { .. } if signals.is_ok() => signals = subject.end_signals(dir),
                 _ => {}

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, anyhow};
 use clap::Args;
 use robogate_analysis::AnalysisOptions;
+use robogate_dictionary::files;
 use robogate_report::{FigureFile, figure_files};
 
 use crate::commands::analyze::analyse;
@@ -58,7 +59,7 @@ impl FigureOf {
 }
 
 fn write(file: &Path, text: &str) -> Result<(), Exit> {
-    std::fs::write(file, text).with_context(|| format!("cannot write {}", file.display())).or_unwritable()?;
+    files::write(file, text).with_context(|| format!("cannot write {}", file.display())).or_unwritable()?;
     note(format_args!("written: {}", foreign(file.display())));
     Ok(())
 }
