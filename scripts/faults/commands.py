@@ -18,6 +18,8 @@ class Command:
     shown_by: str = ""
     # What the command acknowledged must survive a power failure after its end.
     durable: bool = False
+    # A file beside the result, whose lost records no command makes again.
+    beside: str = ""
     # It writes random bytes: the names of its files are compared, and the exit code of `shown_by`.
     random: bool = False
     # It starts other processes that write, whose calls are not logged.
@@ -37,7 +39,7 @@ STOP = "trial record study stop --code {code}"
 COMMANDS = [
     Command("run", RUN, resume="resume r", durable=True),
     Command("run, two stages", "run --task pendulum -n 40 --seed 3 --design two-stage --threads 1 --out r", resume="resume r", durable=True),
-    Command("run, signals", RUN + " --record-signals", resume="resume r", durable=True),
+    Command("run, signals", RUN + " --record-signals", resume="resume r", durable=True, beside="r/signals.rgs"),
     Command("run --divide", SHARDS[0], durable=True),
     Command("run --shard", SHARDS[1], SHARDS[:1], durable=True),
     Command("merge", "merge r", SHARDS, durable=True),

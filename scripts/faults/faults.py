@@ -55,7 +55,7 @@ LIMIT = 120
 IGNORED = ("state/",)
 # Files that grow while a command runs. Each line or record says whether it is complete.
 JOURNALS = (".rgj", "journal.jsonl", "lost.jsonl", ".registrations", ".rgs", ".db", "journal.head")
-OUTCOMES = ["no effect", "repeated", "resumed", "complete", "removed by the user", "noted", "PROBLEM"]
+OUTCOMES = ["no effect", "repeated", "resumed", "complete", "removed by the user", "noted", "records lost", "PROBLEM"]
 
 
 class Problem(Exception):
@@ -234,6 +234,8 @@ class Bench:
         if code == self.code and noted and self.says_what_it_lacks():
             return "noted"
         left = digests(self.folder)
+        if code == self.code and self.command.beside and {**left, self.command.beside: ""} == {**self.expected, self.command.beside: ""}:
+            return "records lost"
         # A finished file is not replaced without being asked.
         if code == 2 and all(left.get(name) == digest for name, digest in self.expected.items()):
             return "complete"
@@ -326,7 +328,8 @@ def page(chosen: argparse.Namespace, rows: list[tuple], seconds: float) -> str:
         "- *repeated*, *resumed*: an error that names the file, or a power failure; then the same bytes as without a fault",
         "- *complete*: the second call refuses to replace files, and they are complete",
         "- *removed by the user*: the second call refuses what is left, and says so; after its removal it gives the same bytes",
-        "- *noted*: the command did its work and named a file that it could not read or write beside it; the second call wrote it\n",
+        "- *noted*: the command did its work and named a file that it could not read or write beside it; the second call wrote it",
+        "- *records lost*: the result has the same bytes, and the file of signals beside it lacks episodes; `robogate warn` says how many\n",
         "| call | faults | kinds |\n|---|---:|---|",
     ]
     for call in calls:

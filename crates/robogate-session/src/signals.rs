@@ -179,8 +179,11 @@ fn cut(path: &Path) -> anyhow::Result<()> {
     while let Ok(Some(_)) = record(&mut reader, header.width()) {
         end = reader.stream_position()?;
     }
-    let file = OpenOptions::new().write(true).open(path).and_then(|file| file.set_len(end));
-    file.with_context(|| format!("cannot write {}", path.display()))
+    let shorten = || {
+        let file = OpenOptions::new().write(true).open(path)?;
+        if file.metadata()?.len() > end { file.set_len(end) } else { Ok(()) }
+    };
+    shorten().with_context(|| format!("cannot write {}", path.display()))
 }
 
 /// Ends recording, and brings the records into the order of their indices: the file does not depend on threads.
@@ -266,7 +269,8 @@ pub fn read_signals(run: &Path, receive: &mut dyn FnMut(&Header, EpisodeSignals)
         .or_request();
     }
     let (header, mut reader) = opened(&path).or_request()?;
-    while let Some(episode) = record(&mut reader, header.width()).or_request()? {
+    let about = || format!("cannot read {}", path.display());
+    while let Some(episode) = record(&mut reader, header.width()).with_context(about).or_request()? {
         receive(&header, episode);
     }
     Ok(header)
