@@ -1,6 +1,6 @@
 """Injects faults into every verb that writes, one call at a time, and checks what is left.
 
-Usage: scripts/faults.sh [--per-cell N] [--seed S] [--commands a,b] [--jobs N] [--out FILE]
+Usage: scripts/faults.sh [--per-cell N] [--seed S] [--commands "a;b"] [--jobs N] [--minutes M] [--out FILE]
 
 For each command (`commands.py`), call (open, create, read, write, truncate, fsync, rename, link, mkdir, unlink) and kind (EIO, ENOSPC,
 EACCES, a short read or write, a disk that stays full), up to N of the calls fail, one in each process, chosen by the seed. Power
@@ -306,7 +306,7 @@ def examine(robogate: Path, shim: Path, command: Command, per_cell: int, seed: i
     return outcomes, injected, problems
 
 
-def page(chosen: argparse.Namespace, rows: list[tuple], seconds: float) -> str:
+def page(chosen: argparse.Namespace, rows: list[tuple], left_out: list[str], seconds: float) -> str:
     """The page of results."""
     calls = [*KINDS, "power"]
     total = sum(sum(injected.values()) for _, (_, injected, _) in rows)
@@ -322,6 +322,8 @@ def page(chosen: argparse.Namespace, rows: list[tuple], seconds: float) -> str:
     ]
     for command, (outcomes, injected, _) in rows:
         out.append(f"| {command.name} | {sum(injected.values())} | " + " | ".join(str(outcomes[kind] or "") for kind in OUTCOMES) + " |")
+    if left_out:
+        out.append(f"\nNot tried in this run, which had {chosen.minutes:.0f} minutes: {', '.join(left_out)}.")
     out += [
         "",
         "- *no effect*: the result and the exit code of the command without a fault, for example because a call is tried again",
@@ -348,19 +350,24 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--commands", default="", help="names of commands, separated by semicolons; default: all")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="commands that are tried at a time")
+    parser.add_argument("--minutes", type=float, default=float("inf"), help="begin no command after this time; the page names those that are left out")
     parser.add_argument("--out", type=Path, help="write the table to this page")
     chosen = parser.parse_args()
     wanted = [name.strip() for name in chosen.commands.split(";") if name]
     commands = [command for command in COMMANDS if not wanted or command.name in wanted]
     began = time.monotonic()
     with concurrent.futures.ThreadPoolExecutor(chosen.jobs) as pool:
-        results = list(
-            pool.map(lambda one: examine(chosen.robogate.resolve(), chosen.shim.resolve(), one, chosen.per_cell, chosen.seed), commands)
-        )
-    rows = list(zip(commands, results, strict=True))
+        def within(command: Command) -> tuple | None:
+            if time.monotonic() - began > 60 * chosen.minutes:
+                return None
+            return examine(chosen.robogate.resolve(), chosen.shim.resolve(), command, chosen.per_cell, chosen.seed)
+
+        results = list(pool.map(within, commands))
+    rows = [(command, result) for command, result in zip(commands, results, strict=True) if result]
+    left_out = [command.name for command, result in zip(commands, results, strict=True) if not result]
     if chosen.out:
-        chosen.out.write_text(page(chosen, rows, time.monotonic() - began), encoding="utf-8")
-    sys.exit(any(found for _, _, found in results))
+        chosen.out.write_text(page(chosen, rows, left_out, time.monotonic() - began), encoding="utf-8")
+    sys.exit(any(found for _, (_, _, found) in rows))
 
 
 if __name__ == "__main__":

@@ -311,6 +311,29 @@ mod tests {
         assert_eq!(found, [(1, 10, vec![0.0, 2.0]), (2, 21, vec![0.0, 3.0, 0.1, 4.0])]);
     }
 
+    /// A resumed run continues behind the last whole record.
+    #[test]
+    fn records_that_lack_their_end_are_removed() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join(SIGNALS);
+        let mut hole = bytes(5, 50, &[0.0, 1.0]);
+        hole[16..].fill(0);
+        for left in [&bytes(9, 9, &[0.0, 1.0, 0.1, 2.0])[..30], &hole] {
+            let log = SignalLog::default();
+            log.open(dir.path(), &header()).unwrap();
+            assert!(log.close());
+            let append = |bytes: &[u8]| OpenOptions::new().append(true).open(&path).unwrap().write_all(bytes).unwrap();
+            append(&[&bytes(1, 10, &[0.0, 2.0]), left].concat());
+            log.open(dir.path(), &header()).unwrap();
+            append(&bytes(2, 20, &[0.0, 1.0]));
+            end(&log, dir.path()).unwrap();
+            let mut found = Vec::new();
+            read_signals(dir.path(), &mut |_, episode| found.push(episode.index)).unwrap();
+            assert_eq!(found, [1, 2]);
+            fs::remove_file(&path).unwrap();
+        }
+    }
+
     #[test]
     fn damaged_file_is_an_error() {
         let dir = tempfile::tempdir().unwrap();

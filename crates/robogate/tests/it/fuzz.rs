@@ -288,7 +288,7 @@ fn fuzzed_runs_are_read_or_refused() {
         "run",
         dir.path(),
         &names,
-        &["analyze run", "report run -o report.html --no-replays", "resume run", "replay run 3"],
+        &["analyze run", "report run --out page.html --no-replay", "resume run", "replay run 3"],
     );
 }
 
