@@ -300,7 +300,7 @@ def examine(robogate: Path, shim: Path, command: Command, per_cell: int, seed: i
                 outcomes[outcome] += 1
             except (Problem, subprocess.TimeoutExpired) as problem:
                 outcomes["PROBLEM"] += 1
-                problems.append(f"{command.name}: {call} number {at}, {kind}: {problem}")
+                problems.append(f"{command.name}: {call} number {at}, {kind}: {problem}".replace(str(bench.folder), "FOLDER"))
                 print(problems[-1], file=sys.stderr, flush=True)
     print(command.name, sum(injected.values()), dict(outcomes), flush=True)
     return outcomes, injected, problems
