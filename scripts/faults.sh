@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
 # Injects faults into the calls of every writing verb, and checks what is left (scripts/faults/faults.py). Not part of the tests: it
-# takes an hour. ROBOGATE=COMMAND tests another build.
+# takes half an hour. ROBOGATE=COMMAND tests another build.
 #
-# Usage: scripts/faults.sh [--per-cell N] [--seed S] [--verbs a,b] [--out docs/results/faults.md]
+# Usage: scripts/faults.sh [--per-cell N] [--seed S] [--commands "a;b"] [--minutes M] [--out docs/results/faults.md]
 set -euo pipefail
 cd "$(dirname "$0")/.."
 

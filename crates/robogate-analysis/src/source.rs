@@ -5,7 +5,7 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering};
 
-use robogate_dictionary::{Dictionary, published, results};
+use robogate_dictionary::{Dictionary, DictionaryError, published, read_text, results};
 use serde::Deserialize;
 
 use crate::AnalysisError;
@@ -68,8 +68,13 @@ impl Source {
             if !file.exists() {
                 return Err(AnalysisError::NoDictionaryInFolder { path: path.to_owned() });
             }
-            // Without a readable boundary report, one table is missing from the page.
-            let boundary = fs::read(path.join(BOUNDARY)).ok().and_then(|text| serde_json::from_slice(&text).ok());
+            let report = path.join(BOUNDARY);
+            let boundary = match read_text(&report) {
+                // Without a boundary report, or with one of another version, one table is missing from the page.
+                Ok(text) => serde_json::from_str(&text).ok(),
+                Err(error) if error.kind() == std::io::ErrorKind::NotFound => None,
+                Err(error) => return Err(DictionaryError::io(&report, "read")(error).into()),
+            };
             let dictionary = Dictionary::open(&file)?;
             return Ok(Self { dictionary, folder: Some(path.to_owned()), boundary, _scratch: None });
         }

@@ -5,7 +5,7 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use robogate_core::budget::Budget;
-use robogate_dictionary::{PlanHash, read_text};
+use robogate_dictionary::{PlanHash, files, read_text};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use sha2::{Digest, Sha256};
@@ -72,7 +72,7 @@ impl Folder {
     /// The names of the files in the folder, without our own partial files.
     pub(crate) fn names(&self) -> Result<Vec<String>, RunError> {
         let mut names = names(&self.dir).map_err(RunError::io(&self.dir, "list"))?;
-        names.retain(|name| *name != partial(PLAN));
+        names.retain(|name| *name != files::partial(PLAN));
         Ok(names)
     }
 
@@ -91,19 +91,26 @@ impl Folder {
 
     /// Writes a file atomically, as [`Self::write`] does.
     pub(crate) fn write_bytes(&self, name: &str, bytes: &[u8]) -> Result<(), RunError> {
-        write_atomically(&self.dir, name, bytes).map_err(RunError::io(&self.path(name), "write"))
+        let path = self.path(name);
+        files::write(&path, bytes).map_err(RunError::io(&path, "write"))
     }
 
     /// Appends one line per document to a file of JSON lines.
     pub(crate) fn append(&self, name: &str, documents: &[impl Serialize]) -> Result<(), RunError> {
         let path = self.path(name);
-        let append = || OpenOptions::new().append(true).create(true).open(&path)?.write_all(&json_lines(documents)?);
+        let append = || {
+            let mut file = OpenOptions::new().append(true).create(true).open(&path)?;
+            let before = file.metadata()?.len();
+            let written = file.write_all(&json_lines(documents)?).and_then(|()| file.sync_data());
+            // The next line must not follow half of one.
+            written.inspect_err(|_| drop(file.set_len(before)))
+        };
         append().map_err(RunError::io(&path, "write"))
     }
 
     pub(crate) fn remove(&self, name: &str) -> Result<(), RunError> {
         let path = self.path(name);
-        fs::remove_file(&path).and_then(|()| sync(&self.dir)).map_err(RunError::io(&path, "remove"))
+        fs::remove_file(&path).and_then(|()| files::sync_folder(&self.dir)).map_err(RunError::io(&path, "remove"))
     }
 }
 
@@ -127,36 +134,6 @@ pub(crate) fn names(dir: &Path) -> io::Result<Vec<String>> {
         .collect::<io::Result<Vec<_>>>()?;
     names.sort();
     Ok(names)
-}
-
-/// Flushes the entries of the folder `dir` to disk.
-pub(crate) fn sync(dir: &Path) -> io::Result<()> {
-    match File::open(dir).and_then(|dir| dir.sync_all()) {
-        Err(error) if cfg!(unix) && error.kind() != io::ErrorKind::InvalidInput => Err(error),
-        // Not all systems support this. The entries exist in any case.
-        _ => Ok(()),
-    }
-}
-
-/// The name of a file while it is written. A killed process leaves it, and the next attempt overwrites it.
-pub fn partial(name: &str) -> String {
-    format!(".{name}.part")
-}
-
-/// Writes the file `name` in the folder `dir` atomically: complete or not at all, even after a power failure. One process may
-/// write it at a time.
-pub fn write_atomically(dir: &Path, name: &str, bytes: &[u8]) -> io::Result<()> {
-    let part = dir.join(partial(name));
-    let write = || {
-        let mut file = File::create(&part)?;
-        file.write_all(bytes)?;
-        file.sync_all()?;
-        fs::rename(&part, dir.join(name))?;
-        sync(dir)
-    };
-    write().inspect_err(|_| {
-        let _ = fs::remove_file(&part);
-    })
 }
 
 /// The bytes of JSON documents with one line each.

@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use parquet::errors::ParquetError;
 use parquet::file::metadata::KeyValue;
 use robogate_core::Pose;
+use robogate_dictionary::files;
 use robogate_physics::GripperCommand;
 use serde_json::{Value, json};
 
@@ -194,7 +195,10 @@ impl Dataset {
         let stats: serde_json::Map<String, Value> =
             self.moments.iter().map(|(name, m)| (name.clone(), m.json(name.starts_with(IMAGES)))).collect();
         self.write_json("meta/stats.json", &Value::Object(stats))?;
-        fs::rename(&self.partial, &self.path).map_err(io_error(&self.path, "rename to"))?;
+        files::sync_all_below(&self.partial).map_err(io_error(&self.path, "write"))?;
+        fs::rename(&self.partial, &self.path)
+            .and_then(|()| files::sync_parent(&self.path))
+            .map_err(io_error(&self.path, "rename to"))?;
         self.finished = true;
         Ok(Written { episodes: self.episodes.len(), frames: self.frames })
     }

@@ -5,7 +5,7 @@ use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use crate::DictionaryError;
-use crate::journal::sync_folder;
+use crate::files::{partial_path, sync_parent};
 
 /// A file that is written under a temporary name and renamed once it is complete.
 ///
@@ -21,12 +21,7 @@ pub(crate) struct AtomicFile {
 impl AtomicFile {
     /// Creates the temporary file for `path`.
     pub(crate) fn create(path: &Path) -> Result<Self, DictionaryError> {
-        let name = path.file_name().ok_or_else(|| {
-            DictionaryError::io(path, "create")(io::Error::new(
-                io::ErrorKind::InvalidInput,
-                "the path has no file name",
-            ))
-        })?;
+        let partial = partial_path(path).map_err(DictionaryError::io(path, "create"))?;
         if path.is_dir() {
             return Err(DictionaryError::io(path, "create")(io::ErrorKind::IsADirectory.into()));
         }
@@ -37,10 +32,6 @@ impl AtomicFile {
                 "the path exists and is not a regular file",
             )));
         }
-        let mut partial = std::ffi::OsString::from(".");
-        partial.push(name);
-        partial.push(".part");
-        let partial = path.with_file_name(partial);
         let file = File::create(&partial).map_err(DictionaryError::io(&partial, "create"))?;
         Ok(Self { file: Some(BufWriter::new(file)), partial, path: path.to_owned() })
     }
@@ -60,7 +51,7 @@ impl AtomicFile {
             file.get_ref().sync_all()?;
         }
         fs::rename(&self.partial, &self.path)?;
-        sync_folder(&self.path)
+        sync_parent(&self.path)
     }
 }
 

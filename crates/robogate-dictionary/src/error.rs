@@ -235,7 +235,8 @@ pub enum DictionaryError {
 }
 
 impl DictionaryError {
-    pub(crate) fn io(path: &Path, action: &'static str) -> impl FnOnce(io::Error) -> Self {
+    /// The error of an operation on a file, such as `read`.
+    pub fn io(path: &Path, action: &'static str) -> impl FnOnce(io::Error) -> Self {
         move |source| Self::Io { path: path.to_owned(), action, source }
     }
 

@@ -4,11 +4,12 @@
 //! call, so a killed process leaves at most one incomplete frame, at the end. The checksum of the frame's head
 //! distinguishes an incomplete frame (valid head, file too short) from a damaged one.
 
-use std::fs::{self, File, OpenOptions, TryLockError};
+use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{self, BufReader, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use crate::codec::{self, Interner};
+use crate::files::sync_parent;
 use crate::frame::{HEAD, encode_frame, parse_head};
 use crate::{DictionaryError, Entry, hex};
 
@@ -60,8 +61,9 @@ impl Journal {
             .map_err(DictionaryError::io(path, "create"))?;
         let mut journal = Self::over(file, path, plan)?;
         journal.write_header()?;
-        // Flushes the directory entry. Without this, a power failure could remove the new file.
-        sync_folder(path).map_err(DictionaryError::io(path, "flush the folder of"))?;
+        // The header reaches the disk before the first record, and the entry of the folder too.
+        journal.sync()?;
+        sync_parent(path).map_err(DictionaryError::io(path, "flush the folder of"))?;
         Ok(journal)
     }
 
@@ -80,6 +82,7 @@ impl Journal {
         }
         if kept < HEADER {
             journal.write_header()?;
+            journal.sync()?;
         }
         Ok((journal, Recovery { dropped_bytes: length - kept }))
     }
@@ -148,8 +151,7 @@ impl Journal {
         let mut bytes = [0; HEAD];
         reader.read_exact(&mut bytes).map_err(DictionaryError::io(&self.path, "read"))?;
         let Some((size, crc)) = parse_head(&bytes) else {
-            // After a power failure a file may be longer than the data that reached the disk.
-            if bytes.iter().all(|b| *b == 0) && only_zeros(reader).map_err(DictionaryError::io(&self.path, "read"))? {
+            if unwritten(&bytes) {
                 return Ok(None);
             }
             return Err(self.damaged(self.end, "its head does not match its checksum"));
@@ -160,7 +162,7 @@ impl Journal {
         self.buffer.resize(size as usize, 0);
         reader.read_exact(&mut self.buffer).map_err(DictionaryError::io(&self.path, "read"))?;
         if crc32fast::hash(&self.buffer) != crc {
-            if u64::from(size) == rest {
+            if u64::from(size) == rest || unwritten(&self.buffer) {
                 // The last frame has its full length but wrong content. It counts as incomplete, and its episode runs
                 // again.
                 return Ok(None);
@@ -376,29 +378,9 @@ fn header_of(plan: &PlanHash) -> [u8; HEADER as usize] {
     header
 }
 
-fn only_zeros(reader: &mut impl Read) -> io::Result<bool> {
-    let mut chunk = [0; 4096];
-    loop {
-        match reader.read(&mut chunk)? {
-            0 => return Ok(true),
-            n if chunk[..n].iter().any(|byte| *byte != 0) => return Ok(false),
-            _ => {}
-        }
-    }
-}
-
-/// Flushes the folder of `path` to disk, if the system can open folders.
-pub(crate) fn sync_folder(path: &Path) -> io::Result<()> {
-    if cfg!(not(unix)) {
-        return Ok(());
-    }
-    let folder = match path.parent() {
-        Some(folder) if !folder.as_os_str().is_empty() => folder,
-        _ => Path::new("."),
-    };
-    match fs::File::open(folder)?.sync_all() {
-        // Some file systems do not support this. The file itself is written in any case.
-        Err(e) if e.kind() == io::ErrorKind::InvalidInput => Ok(()),
-        other => other,
-    }
+/// Whether these bytes of a record were never written: they are zeros, all or at the end. After a power failure a file may be longer
+/// than the data that reached the disk, and later data may have reached it alone. Those episodes run again, with the same results.
+fn unwritten(bytes: &[u8]) -> bool {
+    const ZEROS: usize = 32;
+    bytes.iter().rev().take(ZEROS).all(|byte| *byte == 0) && !bytes.is_empty()
 }

@@ -18,6 +18,7 @@ mod entry;
 mod error;
 pub mod export;
 mod fields;
+pub mod files;
 mod formula;
 pub mod frame;
 mod hash;

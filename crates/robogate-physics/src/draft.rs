@@ -66,7 +66,11 @@ pub fn draft(model: &Path, name: &str) -> Result<Draft, Vec<Problem>> {
     let raw = spec.clone().compile().map_err(|error| vec![robot_model::rejected(&error)])?;
     robot_model::prepare(&mut spec, MujocoEngine::TIME_STEP_S);
     let compiled = spec.clone().compile().map_err(|error| vec![robot_model::rejected(&error)])?;
-    let text = std::fs::read_to_string(model).unwrap_or_default();
+    let text = match std::fs::read_to_string(model) {
+        // MuJoCo has read it. A URDF in another encoding has no limits of velocity for the draft.
+        Err(error) if error.kind() == std::io::ErrorKind::InvalidData => String::new(),
+        read => read.map_err(|error| one(format!("{file}: {error}"), "check the file"))?,
+    };
     let mut tree = Tree::of(&compiled).map_err(|problem| vec![problem])?;
     let one_jaw = tree.take_jaw(&spec, &compiled)?;
     let mut draft = Writer { out: String::new(), guesses: Vec::new() };

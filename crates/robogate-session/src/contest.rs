@@ -4,18 +4,17 @@
 //! interrupted one; after its last round it is finished like any other. A contest that was interrupted therefore continues where
 //! it was. The folder of the contest records its question before the first episode, and another question is refused.
 
-use std::fs;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
-use robogate_campaign::folder::{DICTIONARY, PLAN, write_atomically};
+use robogate_campaign::folder::{DICTIONARY, PLAN};
 use robogate_campaign::{
     Completion, Event, ExecuteError, Executor, Plan, Round, RunError, resume_in_rounds, start_in_rounds,
 };
 use robogate_core::budget::Budget;
 use robogate_core::{Episode, Outcome, Scenario};
-use robogate_dictionary::{Dictionary, Entry, LostEpisode, Provenance, read_regular_text};
+use robogate_dictionary::{Dictionary, Entry, LostEpisode, Provenance, files, read_regular_text};
 use robogate_gate::RankingGuarantee;
 use robogate_stats::contest::{ContestError, Dropped, Elimination, Schedule};
 use serde::{Deserialize, Serialize};
@@ -153,8 +152,8 @@ impl Contest {
             .or_request();
         }
         let text = serde_json::to_string_pretty(&question).or_broken()? + "\n";
-        fs::create_dir_all(&self.folder)
-            .and_then(|()| write_atomically(&self.folder, Self::QUESTION, text.as_bytes()))
+        files::create_folders(&self.folder)
+            .and_then(|()| files::write(&path, text))
             .with_context(|| format!("cannot write {}", path.display()))
             .or_broken()
     }
@@ -280,7 +279,7 @@ impl Contestant {
         if begun {
             resume_in_rounds(&self.folder, &provenance, executor, events, after)
         } else {
-            start_in_rounds(&self.folder, plan, provenance, executor, events, after)
+            start_in_rounds(&self.folder, plan, provenance, &[], executor, events, after)
         }
     }
 

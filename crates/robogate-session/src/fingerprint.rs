@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use anyhow::{Context, anyhow};
-use robogate_campaign::folder::write_atomically;
+use robogate_dictionary::files;
 use robogate_policy::{Fingerprint, Recorder};
 
 use crate::failure::{Failure, OrFailure};
@@ -29,7 +29,7 @@ impl Subject {
             let mut policy = source.connect()?;
             let period_s = self.task().control_period_s;
             let bytes = Fingerprint::measure(queries, &mut policy, source.profile(), period_s)?.to_bytes()?;
-            write_atomically(run, FINGERPRINT, &bytes)
+            files::write(run.join(FINGERPRINT), bytes)
                 .with_context(|| format!("cannot write {}", run.join(FINGERPRINT).display()))
         };
         if let Err(why) = write() {

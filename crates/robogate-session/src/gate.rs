@@ -3,10 +3,10 @@
 use std::ops::ControlFlow;
 use std::path::Path;
 
-use robogate_campaign::folder::{DICTIONARY, write_atomically};
+use robogate_campaign::folder::DICTIONARY;
 use robogate_campaign::{Completion, DEFAULT_SEED, Event, Plan, Round};
 use robogate_core::Suite;
-use robogate_dictionary::{Dictionary, Provenance};
+use robogate_dictionary::{Dictionary, Provenance, files};
 use robogate_gate::{
     Against, Asked, AskedAgainst, Evaluation, GateError, Mode, Question, Record, Requirements, Sampling, Trial, Verdict,
 };
@@ -109,7 +109,7 @@ impl GateRequest {
         let arms = Arms::of(folder, &plan, &provenance.space, &subject)?;
         let mut rounds = Rounds::new(folder, asked, rival, None, record);
         let completion = workers.carry(folder, &subject, events, |executor, events| {
-            rounds.run(&plan, provenance, arms, executor, &|| {}, events)
+            rounds.run(&plan, provenance, arms, executor, &[], events)
         })?;
         if let Completion::Interrupted { done, episodes } = completion {
             return Err(anyhow::anyhow!("stopped after {done} of {episodes} episodes")).or_broken();
@@ -145,7 +145,7 @@ pub fn with_plan(provenance: &Provenance, plan: &Plan) -> Result<Provenance, Fai
 
 /// Writes the question beside the plan. Without it, an interrupted gate cannot continue.
 pub(crate) fn write_question(dir: &Path, asked: &Asked) {
-    if let Err(error) = write_atomically(dir, Asked::FILE, asked.to_json().as_bytes()) {
+    if let Err(error) = files::write(dir.join(Asked::FILE), asked.to_json()) {
         let file = dir.join(Asked::FILE);
         warning(format_args!("cannot write {}: {error}. `robogate resume` needs it", file.display()));
     }

@@ -74,7 +74,7 @@ pub use fingerprint::{FINGERPRINT, read_fingerprint};
 pub use fleet::{FleetEnd, FleetPlan, FleetRequest, OnUnit, is_fleet, unit_space};
 pub use gate::{GateRequest, Look, MARGIN, SAMPLED_SCENARIOS, begun, question, rounds_and_sampling, with_plan};
 pub use hopeless::{Reaction, Watched};
-pub use isolation::{Entered, enter, in_child};
+pub use isolation::{Entered, SandboxFolders, enter, in_child};
 pub use latency::{LatencyChoice, WantedLatency, describe, execution_mode};
 pub use loaded_policy::LoadedPolicy;
 pub use lost_episodes::{Outage, RunsLostAgain};

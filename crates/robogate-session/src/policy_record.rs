@@ -6,7 +6,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::anyhow;
-use robogate_dictionary::{ExternalPolicyRecord, PolicyRecord, hex};
+use robogate_dictionary::{ExternalPolicyRecord, PolicyRecord, files, hex};
 use robogate_policy::{Access, Servers};
 use serde::de::DeserializeOwned;
 use serde_json::Value;
@@ -93,8 +93,8 @@ impl PolicySource {
                 return Err(io::Error::other("it has changed meanwhile"));
             }
             let target = run.join(POLICY).join(file.file_name().unwrap_or_default());
-            fs::create_dir_all(run.join(POLICY))?;
-            fs::write(target, content)
+            files::create_folders(run.join(POLICY))?;
+            files::write(target, content)
         };
         if let Err(why) = copy() {
             note(format_args!("note: the run keeps no copy of its policy: {why}"));

@@ -19,6 +19,7 @@ use robogate_zmtp::Address;
 
 use crate::environments::{Interpreter, Servers};
 use crate::failure::{Failure, OrFailure};
+use crate::isolation::SandboxFolders;
 use crate::loaded_policy::LoadedPolicy;
 use crate::notice::{note, warning};
 
@@ -35,6 +36,8 @@ pub struct Simulators {
     pub python: Option<PathBuf>,
     /// Whether these processes run in a sandbox. `None` for the choice of the verb: only evidence of others runs in it.
     pub sandbox: Option<bool>,
+    /// What the sandbox opens to these processes beside their own files.
+    pub sandbox_folders: SandboxFolders,
     /// A policy that the processes of the environment load.
     pub loads: Option<LoadedPolicy>,
     /// The folder to which these processes write the physics of their episodes. `None`: they write none.
@@ -44,7 +47,15 @@ pub struct Simulators {
 impl Default for Simulators {
     /// No remote simulator.
     fn default() -> Self {
-        Self { addresses: Vec::new(), python: None, timeout_s: 30.0, sandbox: None, loads: None, probe: None }
+        Self {
+            addresses: Vec::new(),
+            python: None,
+            timeout_s: 30.0,
+            sandbox: None,
+            sandbox_folders: SandboxFolders::default(),
+            loads: None,
+            probe: None,
+        }
     }
 }
 
@@ -66,8 +77,14 @@ impl Simulators {
     pub fn launch(&self, environment: &str) -> Result<(Arc<Pool>, Arc<Servers>), Failure> {
         let interpreter = Interpreter::choose(self.python.as_deref(), environment).or_request()?;
         let sandboxed = self.sandbox == Some(true);
-        let interpreter =
-            if sandboxed { interpreter.sandboxed(environment, self.loads.as_ref()).or_request()? } else { interpreter };
+        let interpreter = match sandboxed {
+            true => interpreter.sandboxed(environment, self.loads.as_ref(), &self.sandbox_folders).or_request()?,
+            false if self.sandbox_folders.is_empty() => interpreter,
+            false => {
+                return Err(anyhow!("--sandbox-read and --sandbox-write cannot be used with --sandbox=off"))
+                    .or_request();
+            }
+        };
         let place = if sandboxed { ", in the sandbox" } else { "" };
         note(format_args!("starting {environment} in {}{place}", interpreter.path().display()));
         let (servers, address) = Servers::start(

@@ -5,8 +5,8 @@ use std::path::Path;
 
 use anyhow::Context;
 use robogate_campaign::Worker;
-use robogate_campaign::folder::write_atomically;
 use robogate_core::{Action, Assignment, FailureMode, Fault, FaultKind, Observation, Scenario, Seed, Start, Step};
+use robogate_dictionary::files;
 use robogate_gate::{REPEATED, Repeats};
 use robogate_tasks::Random;
 
@@ -145,7 +145,7 @@ impl Subject {
         found.failure().iter().for_each(warning);
         let text = serde_json::to_string_pretty(&found).or_broken()?;
         let about = || format!("cannot write {}", run.join(REPEATED).display());
-        write_atomically(run, REPEATED, text.as_bytes()).with_context(about).or_broken()
+        files::write(run.join(REPEATED), text).with_context(about).or_broken()
     }
 }
 

@@ -11,7 +11,7 @@ use std::sync::atomic::AtomicBool;
 use anyhow::{Context, anyhow};
 use robogate_campaign::folder::PLAN;
 use robogate_campaign::{Executor, Round, ThreadPool};
-use robogate_dictionary::{Dictionary, Entry, Journal, PlanHash, Provenance, write_parquet};
+use robogate_dictionary::{Dictionary, Entry, Journal, PlanHash, Provenance, files, write_parquet};
 use robogate_gate::{Asked, Record, Trial};
 use robogate_risk::all_processors;
 use sha2::{Digest, Sha256};
@@ -88,7 +88,7 @@ impl Rival {
         if !origin.exists() {
             self.subject.register(dir, &self.provenance);
             let text = serde_json::to_string_pretty(&self.provenance).or_broken()?;
-            fs::write(&origin, text).with_context(|| format!("cannot write {}", origin.display())).or_broken()?;
+            files::write(&origin, text).with_context(|| format!("cannot write {}", origin.display())).or_broken()?;
         }
         let plan = dir.join(PLAN);
         let plan = fs::read(&plan).with_context(|| format!("cannot read {}", plan.display())).or_broken()?;

@@ -11,7 +11,7 @@ use robogate_gate::{Asked, GateError, Record};
 use crate::arms::Arms;
 use crate::compared::{compared_with, judged};
 use crate::failure::{Failure, OrFailure};
-use crate::gate::{Look, begun, question, write_question};
+use crate::gate::{Look, begun, question};
 use crate::reopening::Reopening;
 use crate::rival::Rival;
 
@@ -57,8 +57,7 @@ impl<'a> Rounds<'a> {
         Ok(Self::new(dir, asked, rival, other, record))
     }
 
-    /// Runs the rounds in a new folder, and then the arms. `begun` is called before the first episode, when the folder contains the
-    /// plan and the question.
+    /// Runs the rounds in a new folder, and then the arms. The folder has these documents and the question before the plan.
     ///
     /// # Errors
     /// The error of the campaign.
@@ -68,20 +67,14 @@ impl<'a> Rounds<'a> {
         provenance: Provenance,
         arms: Arms,
         executor: &dyn Executor,
-        begun: &dyn Fn(),
+        documents: &[(&str, &[u8])],
         events: &mut dyn FnMut(&Event),
     ) -> Result<Completion, RunError> {
-        let (dir, asked) = (self.dir, self.asked.clone());
-        let mut with_question = |event: &Event| {
-            if let Event::Started { .. } = event {
-                write_question(dir, &asked);
-                begun();
-            }
-            events(event);
-        };
+        let (dir, question) = (self.dir, self.asked.to_json());
+        let documents: Vec<_> = documents.iter().copied().chain([(Asked::FILE, question.as_bytes())]).collect();
         let mut after = |round: &Round<'_>| self.after(round);
         let completion =
-            robogate_campaign::start_in_rounds(dir, plan, provenance, executor, &mut with_question, &mut after)?;
+            robogate_campaign::start_in_rounds(dir, plan, provenance, &documents, executor, events, &mut after)?;
         self.worthwhile(arms, &completion).after(completion, executor, events)
     }
 

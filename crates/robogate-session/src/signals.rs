@@ -13,8 +13,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use anyhow::{Context, anyhow, bail};
 use robogate_campaign::EpisodeObserver;
-use robogate_campaign::folder::partial;
 use robogate_core::{Episode, Outcome, Signals, TaskSpec, Tick, Word, measure_row};
+use robogate_dictionary::files;
 use serde::{Deserialize, Serialize};
 
 use crate::failure::{Failure, OrFailure};
@@ -46,6 +46,13 @@ pub struct Header {
 }
 
 impl Header {
+    /// The first line of a file.
+    fn line(&self) -> anyhow::Result<Vec<u8>> {
+        let mut line = serde_json::to_vec(self)?;
+        line.push(b'\n');
+        Ok(line)
+    }
+
     /// The header of the file of a run of this task.
     pub fn of(task: &TaskSpec) -> Self {
         let measures = task.measures.iter().map(|measure| measure.name).collect();
@@ -74,6 +81,13 @@ pub struct EpisodeSignals {
 pub(crate) struct SignalLog(Arc<Mutex<Option<File>>>);
 
 impl SignalLog {
+    /// Makes the records so far safe on disk. An error shows at the end, when the file is written again.
+    pub(crate) fn sync(&self) {
+        if let Some(file) = &*self.0.lock().unwrap_or_else(PoisonError::into_inner) {
+            let _ = file.sync_data();
+        }
+    }
+
     /// Opens the file in the folder of a run, or continues it.
     fn open(&self, run: &Path, header: &Header) -> anyhow::Result<()> {
         let path = run.join(SIGNALS);
@@ -82,11 +96,10 @@ impl SignalLog {
             if found != *header {
                 bail!("{}: it has the signals of another task\nHint: remove the file", path.display());
             }
+            cut(&path)?;
             OpenOptions::new().append(true).open(&path)
         } else {
-            let mut line = serde_json::to_vec(header)?;
-            line.push(b'\n');
-            File::create(&path).and_then(|mut file| file.write_all(&line).map(|()| file))
+            files::write(&path, header.line()?).and_then(|()| OpenOptions::new().append(true).open(&path))
         };
         let file = file.with_context(|| format!("cannot write {}", path.display()))?;
         *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Some(file);
@@ -137,14 +150,20 @@ impl EpisodeObserver for Recording {
         self.bytes[16..20].copy_from_slice(&self.ticks.to_le_bytes());
         self.bytes[20..24].copy_from_slice(&(self.row.len() as u32).to_le_bytes());
         let mut file = self.log.0.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(open) = &mut *file
-            && let Err(why) = open.write_all(&self.bytes)
-        {
-            // The episodes have their result, and a record that lacks its end is not read.
+        let Some(open) = &mut *file else { return };
+        let before = open.metadata().map(|metadata| metadata.len());
+        if let Err(why) = open.write_all(&self.bytes) {
+            // The episodes have their result. Half of a record is not read, but should not stay.
+            let _ = before.and_then(|length| open.set_len(length));
             warning(format!("{SIGNALS} cannot be written, so no further signals are recorded: {why}"));
             *file = None;
         }
     }
+}
+
+/// The file of signals without records, which a run has from its start.
+pub(crate) fn empty(task: &TaskSpec) -> Result<Vec<u8>, Failure> {
+    Header::of(task).line().or_broken()
 }
 
 /// Begins to record signals of a run: into its folder, from the next episode on.
@@ -152,9 +171,29 @@ pub(crate) fn begin(log: &SignalLog, run: &Path, task: &TaskSpec) -> Result<(), 
     log.open(run, &Header::of(task)).or_request()
 }
 
+/// Removes what follows the last whole record of a file: a killed process or a power failure has left it.
+fn cut(path: &Path) -> anyhow::Result<()> {
+    let (header, mut reader) = opened(path)?;
+    let mut end = reader.stream_position()?;
+    // A record that is damaged ends the whole ones too. The episodes behind it have no signals then.
+    while let Ok(Some(_)) = record(&mut reader, header.width()) {
+        end = reader.stream_position()?;
+    }
+    let shorten = || {
+        let file = OpenOptions::new().write(true).open(path)?;
+        if file.metadata()?.len() > end { file.set_len(end) } else { Ok(()) }
+    };
+    shorten().with_context(|| format!("cannot write {}", path.display()))
+}
+
 /// Ends recording, and brings the records into the order of their indices: the file does not depend on threads.
 pub(crate) fn end(log: &SignalLog, run: &Path) -> Result<(), Failure> {
-    if log.close() { sort(&run.join(SIGNALS)).or_broken() } else { Ok(()) }
+    let path = run.join(SIGNALS);
+    if log.close() {
+        sort(&path).with_context(|| format!("cannot write {}", path.display())).or_broken()
+    } else {
+        Ok(())
+    }
 }
 
 /// Writes the records again in the order of their indices. The last record of an index is kept.
@@ -167,17 +206,16 @@ fn sort(path: &Path) -> anyhow::Result<()> {
         places.insert(episode.index, (at, next - at));
         at = next;
     }
-    let part = path.with_file_name(partial(SIGNALS));
+    let part = path.with_file_name(files::partial(SIGNALS));
     let mut to = BufWriter::new(File::create(&part)?);
-    let mut line = serde_json::to_vec(&header)?;
-    line.push(b'\n');
-    to.write_all(&line)?;
+    to.write_all(&header.line()?)?;
     for (at, length) in places.into_values() {
         reader.seek(SeekFrom::Start(at))?;
         io::copy(&mut reader.by_ref().take(length), &mut to)?;
     }
     to.into_inner()?.sync_all()?;
-    Ok(fs::rename(&part, path)?)
+    fs::rename(&part, path)?;
+    Ok(files::sync_parent(path)?)
 }
 
 fn opened(path: &Path) -> anyhow::Result<(Header, BufReader<File>)> {
@@ -231,7 +269,8 @@ pub fn read_signals(run: &Path, receive: &mut dyn FnMut(&Header, EpisodeSignals)
         .or_request();
     }
     let (header, mut reader) = opened(&path).or_request()?;
-    while let Some(episode) = record(&mut reader, header.width()).or_request()? {
+    let about = || format!("cannot read {}", path.display());
+    while let Some(episode) = record(&mut reader, header.width()).with_context(about).or_request()? {
         receive(&header, episode);
     }
     Ok(header)
@@ -270,6 +309,29 @@ mod tests {
         })
         .unwrap();
         assert_eq!(found, [(1, 10, vec![0.0, 2.0]), (2, 21, vec![0.0, 3.0, 0.1, 4.0])]);
+    }
+
+    /// A resumed run continues behind the last whole record.
+    #[test]
+    fn records_that_lack_their_end_are_removed() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join(SIGNALS);
+        let mut hole = bytes(5, 50, &[0.0, 1.0]);
+        hole[16..].fill(0);
+        for left in [&bytes(9, 9, &[0.0, 1.0, 0.1, 2.0])[..30], &hole] {
+            let log = SignalLog::default();
+            log.open(dir.path(), &header()).unwrap();
+            assert!(log.close());
+            let append = |bytes: &[u8]| OpenOptions::new().append(true).open(&path).unwrap().write_all(bytes).unwrap();
+            append(&[&bytes(1, 10, &[0.0, 2.0]), left].concat());
+            log.open(dir.path(), &header()).unwrap();
+            append(&bytes(2, 20, &[0.0, 1.0]));
+            end(&log, dir.path()).unwrap();
+            let mut found = Vec::new();
+            read_signals(dir.path(), &mut |_, episode| found.push(episode.index)).unwrap();
+            assert_eq!(found, [1, 2]);
+            fs::remove_file(&path).unwrap();
+        }
     }
 
     #[test]

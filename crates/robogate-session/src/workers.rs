@@ -3,7 +3,7 @@
 use std::num::NonZeroUsize;
 use std::ops::ControlFlow;
 use std::path::Path;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use anyhow::anyhow;
@@ -125,7 +125,12 @@ impl Workers<'_> {
                 Event::Started { .. } if std::mem::take(&mut keeping) => {
                     subject.keep_files(dir);
                     signals = subject.begin_signals(dir, false);
+                    if signals.is_err() {
+                        // The user wants them of all episodes. `robogate resume` tries again.
+                        self.stop.store(true, Ordering::Relaxed);
+                    }
                 }
+                Event::StageFinished { .. } => subject.sync_signals(),
                 // Arms may follow, whose episodes have the same indices.
                 Event::Finished { .. } if signals.is_ok() => signals = subject.end_signals(dir),
                 _ => {}

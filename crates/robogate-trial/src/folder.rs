@@ -25,7 +25,7 @@ impl Folder {
     pub fn create(path: &Path, plan: &Plan, secret: &Secret) -> Result<(), Problem> {
         plan.check()?;
         let failed = |error: std::io::Error| Problem::File { path: path.to_owned(), reason: error.to_string() };
-        std::fs::create_dir_all(path).map_err(failed)?;
+        robogate_dictionary::files::create_folders(path).map_err(failed)?;
         if std::fs::read_dir(path).map_err(failed)?.next().is_some() {
             let reason = "the folder is not empty\nHint: choose another one for this study".to_owned();
             return Err(Problem::File { path: path.to_owned(), reason });
@@ -34,7 +34,8 @@ impl Folder {
         secret.write_new(&path.join(SECRET))?;
         let text = plan.to_json();
         let file = path.join(PLAN);
-        std::fs::write(&file, text).map_err(|error| Problem::File { path: file, reason: error.to_string() })?;
+        robogate_dictionary::files::write(&file, text)
+            .map_err(|error| Problem::File { path: file, reason: error.to_string() })?;
         let (mut journal, _) = Journal::open(path, secret, true)?;
         let opened = Event::Opened { plan_sha256: plan.sha256() };
         study.apply(&journal.append(Moment::now(), "", opened)?);

@@ -118,13 +118,11 @@ impl Journal {
         Ok(record)
     }
 
-    /// Writes the head under another name and renames it.
+    /// Replaces the head.
     fn write_head(&mut self) -> Result<(), Problem> {
         let path = self.path.with_file_name(HEAD);
-        let part = self.path.with_file_name(format!(".{HEAD}.part"));
         let text = format!("{} {}\n", self.next, head_mac(&self.secret, self.next, &self.last));
-        let write = |mut file: File| file.write_all(text.as_bytes()).and_then(|()| file.sync_data());
-        File::create(&part).and_then(write).and_then(|()| std::fs::rename(&part, &path)).map_err(|error| {
+        robogate_dictionary::files::write(&path, text).map_err(|error| {
             self.broken = true;
             Problem::File { path, reason: error.to_string() }
         })

@@ -8,7 +8,8 @@ use robogate_core::latency::ExecutionMode;
 use robogate_dictionary::RendererRecord;
 use robogate_session::{
     CELL_TASK, CheckpointStatistics, ENGINES, EnvironmentChoice, LatencyChoice, PolicyAccess, PolicyChoice,
-    PolicyLocation, Reopening, Simulators, StressChoice, Trust, WantedLatency, duration, execution_mode,
+    PolicyLocation, Reopening, SandboxFolders, Simulators, StressChoice, Trust, WantedLatency, duration,
+    execution_mode,
 };
 use robogate_zmtp::Address;
 
@@ -92,6 +93,13 @@ pub(crate) struct SimulatorArguments {
     /// evidence that you did not make, otherwise off
     #[arg(long, value_name = "on|off", num_args = 0..=1, default_missing_value = "on", require_equals = true)]
     sandbox: Option<Switch>,
+    /// Also let processes in the sandbox read these folders, such as those of a dataset, separated by commas; switches --sandbox on
+    #[arg(long, value_name = "FOLDERS", value_delimiter = ',')]
+    sandbox_read: Vec<PathBuf>,
+    /// Also let processes in the sandbox read these folders and change files there, such as those of a cache, separated by commas;
+    /// switches --sandbox on
+    #[arg(long, value_name = "FOLDERS", value_delimiter = ',')]
+    sandbox_write: Vec<PathBuf>,
 }
 
 /// A switch.
@@ -104,11 +112,14 @@ enum Switch {
 impl SimulatorArguments {
     /// The simulators of these arguments.
     pub(crate) fn choice(&self) -> Simulators {
+        let folders = SandboxFolders { read: self.sandbox_read.clone(), write: self.sandbox_write.clone() };
+        let wanted = (!folders.is_empty()).then_some(true);
         Simulators {
             addresses: self.addresses.clone(),
             timeout_s: self.timeout_s,
             python: self.python.clone(),
-            sandbox: self.sandbox.map(|switch| switch == Switch::On),
+            sandbox: self.sandbox.map(|switch| switch == Switch::On).or(wanted),
+            sandbox_folders: folders,
             loads: None,
             probe: None,
         }

@@ -2,14 +2,12 @@
 
 use std::path::Path;
 
-use robogate_campaign::Event;
-use robogate_campaign::folder::write_atomically;
 use robogate_core::TaskSpec;
 use robogate_dictionary::Dictionary;
 use robogate_gate::{Evaluation, ForceLimitResult, ForceLimits, Requirements, Trial};
 
 use crate::exit::{Exit, OrExit};
-use crate::terminal::{line, warning};
+use crate::terminal::line;
 
 /// Number of contacts of each limit that the terminal lists.
 const CONTACTS: usize = 5;
@@ -26,15 +24,6 @@ pub(crate) fn opened(file: Option<&Path>, task: &TaskSpec) -> Result<Option<Forc
     let limits = ForceLimits::open(file)?;
     limits.check_task(task)?;
     Ok(Some(limits))
-}
-
-/// Writes the limits of a campaign into its folder, once it has started. Without the file, later reports have no limits.
-pub(crate) fn keep(dir: &Path, limits: Option<&ForceLimits>, event: &Event) {
-    if let (Some(limits), Event::Started { .. }) = (limits, event)
-        && let Err(error) = write_atomically(dir, ForceLimits::FILE, limits.to_toml().as_bytes())
-    {
-        warning(format_args!("cannot write {}: {error}", dir.join(ForceLimits::FILE).display()));
-    }
 }
 
 /// The contacts of a run that exceed the limits of its gate, or those that it was started with. Empty without limits.

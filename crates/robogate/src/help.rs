@@ -49,6 +49,8 @@ const MEMBERS: [&[&str]; 4] = [
         "simulator",
         "python",
         "sandbox",
+        "sandbox-read",
+        "sandbox-write",
         "threads",
         "in-flight",
         "policy-at",

@@ -1,11 +1,10 @@
 //! Images as PNG files, and several images on one contact sheet.
 
-use std::fs::File;
-use std::io::{BufWriter, Write};
 use std::path::Path;
 
 use anyhow::{Context, bail};
 use robogate_core::Image;
+use robogate_dictionary::files;
 
 /// Space between the images of a sheet, in pixels.
 const GAP: usize = 4;
@@ -20,17 +19,20 @@ const INK: [u8; 3] = [70, 74, 80];
 /// Writes an image as PNG. Returns an error if the file already exists.
 pub(crate) fn write(path: &Path, image: &Image) -> anyhow::Result<()> {
     let bytes = png(image).with_context(|| format!("cannot encode {}", path.display()))?;
-    if let Some(folder) = path.parent() {
-        std::fs::create_dir_all(folder).with_context(|| format!("cannot create the folder {}", folder.display()))?;
+    if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
+        files::create_folders(folder).with_context(|| format!("cannot create the folder {}", folder.display()))?;
     }
-    let file = match File::create_new(path) {
+    create(path, &bytes)
+}
+
+/// Writes a new file. Returns an error if it already exists.
+pub(crate) fn create(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
+    match files::write_new(path, bytes) {
         Err(e) if e.kind() == std::io::ErrorKind::AlreadyExists => {
-            bail!("{}: already exists. Remove it, or choose another path with --out", path.display())
+            bail!("{}: already exists. Remove it, or choose another path", path.display())
         }
-        file => file.with_context(|| format!("cannot write {}", path.display()))?,
-    };
-    let mut file = BufWriter::new(file);
-    file.write_all(&bytes).and_then(|()| file.flush()).with_context(|| format!("cannot write {}", path.display()))
+        written => written.with_context(|| format!("cannot write {}", path.display())),
+    }
 }
 
 /// Encodes an image as PNG.

@@ -10,6 +10,7 @@ use robogate_analysis::Source;
 use robogate_campaign::folder::DICTIONARY;
 use robogate_campaign::{NOMINAL, Plan};
 use robogate_core::ParameterSpace;
+use robogate_dictionary::files;
 use robogate_gate::{Record, Sampling, TwinFamily, Twins};
 use robogate_report::TwinRow;
 
@@ -108,7 +109,7 @@ pub(crate) fn of_run(folder: &Path, sampling: Sampling) -> Result<Option<Twins>,
 /// Writes the comparison into the folder of the run.
 pub(crate) fn write(folder: &Path, twins: &Twins) -> Result<(), Exit> {
     let path = folder.join(TWINS);
-    std::fs::write(&path, twins.to_json()).with_context(|| format!("cannot write {}", path.display())).or_broken()
+    files::write(&path, twins.to_json()).with_context(|| format!("cannot write {}", path.display())).or_broken()
 }
 
 /// Prints the comparison.

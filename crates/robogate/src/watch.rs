@@ -7,7 +7,7 @@ use robogate_analysis::labels::{mode_label, parameter_label, value_with_unit};
 use robogate_analysis::{Analysis, Comparison, HERE, ReplayEpisode, Source, shell_word, worth_watching};
 use robogate_campaign::WorkerFactory;
 use robogate_core::{Episode, Fault, FaultKind, Outcome, Value};
-use robogate_dictionary::Entry;
+use robogate_dictionary::{Entry, files};
 use robogate_replay::{Clip, FilmFrame, Recording, record, reel};
 use robogate_report::{Strip, Watch, WatchItem};
 use robogate_stats::format::{counted, number};
@@ -478,8 +478,8 @@ fn write_strip(frames: &Frames, recording: &Recording, index: u64, shots: &[Shot
     let name = format!("episode-{index}.png");
     let image = film::strip(&shots.iter().collect::<Vec<_>>());
     let path = frames.folder.join(&name);
-    std::fs::create_dir_all(&frames.folder)
-        .and_then(|()| std::fs::write(&path, picture::png(&image).map_err(std::io::Error::other)?))
+    files::create_folders(&frames.folder)
+        .and_then(|()| files::write(&path, picture::png(&image).map_err(std::io::Error::other)?))
         .with_context(|| format!("cannot write {}", path.display()))?;
     let alt = format!(
         "Episode {index}, {}: {} from {:.2} s to {:.2} s",

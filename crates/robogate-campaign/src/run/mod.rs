@@ -21,7 +21,7 @@ mod stages;
 use std::ops::ControlFlow;
 use std::path::Path;
 
-use robogate_dictionary::{Dictionary, Entry, Journal, Provenance, read_text};
+use robogate_dictionary::{Dictionary, Entry, Journal, Provenance, files, read_text};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -117,7 +117,7 @@ pub fn start(
     executor: &dyn Executor,
     events: &mut dyn FnMut(&Event),
 ) -> Result<Completion, RunError> {
-    start_in_rounds(dir, plan, provenance, executor, events, &mut |_| ControlFlow::Continue(()))
+    start_in_rounds(dir, plan, provenance, &[], executor, events, &mut |_| ControlFlow::Continue(()))
 }
 
 /// Starts a plan that runs a suite, like [`start`], and calls `after_round` after each round.
@@ -128,33 +128,45 @@ pub fn start(
 ///
 /// The result of `after_round` must depend only on the entries. Otherwise an interrupted run could end differently from
 /// an uninterrupted one.
+///
+/// `documents` (names and contents) are written before the plan: a folder with a plan has them.
 pub fn start_in_rounds(
     dir: &Path,
     plan: &Plan,
     provenance: Provenance,
+    documents: &[(&str, &[u8])],
     executor: &dyn Executor,
     events: &mut dyn FnMut(&Event),
     after_round: &mut AfterRound<'_>,
 ) -> Result<Completion, RunError> {
-    let (folder, settings) = begin(dir, plan, provenance)?;
+    let (folder, settings) = begin(dir, plan, provenance, documents)?;
     Run::new(folder, settings, executor, events, after_round)?.run()
 }
 
-/// Creates the folder of a campaign with its plan.
-fn begin(dir: &Path, plan: &Plan, provenance: Provenance) -> Result<(Folder, Settings), RunError> {
+/// Creates the folder of a campaign with these documents and its plan.
+fn begin(
+    dir: &Path,
+    plan: &Plan,
+    provenance: Provenance,
+    documents: &[(&str, &[u8])],
+) -> Result<(Folder, Settings), RunError> {
     plan.check(&provenance.space)?;
-    std::fs::create_dir_all(dir).map_err(RunError::io(dir, "create"))?;
+    files::create_folders(dir).map_err(RunError::io(dir, "create"))?;
     let folder = Folder::lock(dir)?;
     let names = folder.names()?;
     not_in_shards(dir)?;
     if names.iter().any(|name| name == PLAN) {
         return Err(RunError::AlreadyARun { dir: dir.to_owned(), finished: is_finished(&folder) });
     }
-    if let Some(name) = names.first() {
+    // A process that was killed before it wrote the plan has left documents.
+    if let Some(name) = names.iter().find(|name| !documents.iter().any(|(document, _)| document == name)) {
         return Err(RunError::NotEmpty { dir: dir.to_owned(), name: name.clone() });
     }
     let settings =
         Settings::new(plan, provenance).map_err(|source| RunError::Unreadable { path: dir.join(PLAN), source })?;
+    for (name, content) in documents {
+        folder.write_bytes(name, content)?;
+    }
     folder.write(PLAN, &settings)?;
     Ok((folder, settings))
 }

@@ -253,12 +253,12 @@ impl<'a> Run<'a> {
     }
 
     fn stage_finished(&mut self, stage: Stage, outcomes: OutcomeCounts) -> Result<(), RunError> {
-        self.journal.sync()?;
         if let Some(warning) = self.invalid_so_far.warning() {
             (self.events)(&Event::warning(warning));
         }
+        // Who records beside the journal makes that safe first: the journal says which episodes need not run again.
         (self.events)(&Event::StageFinished { stage, outcomes });
-        Ok(())
+        Ok(self.journal.sync()?)
     }
 
     /// Reads the episodes of a stage from the journal: their outcomes, and the missing indices.

@@ -1,13 +1,12 @@
 //! Merges the shards of a campaign to the files of a run on one machine.
 
 use std::cell::RefCell;
-use std::fs;
 use std::ops::ControlFlow;
 use std::path::Path;
 
 use robogate_core::{Episode, Fault, FaultKind, Scenario};
 use robogate_dictionary::{
-    Dictionary, DictionaryError, Entry, Journal, LostEpisode, Platform, Provenance, SCHEMA_VERSION, Tool,
+    Dictionary, DictionaryError, Entry, Journal, LostEpisode, Platform, Provenance, SCHEMA_VERSION, Tool, files,
 };
 
 use super::{DirectoryStore, OpenRound, ShardError, ShardRound, ShardStore, Shards, Stored, put};
@@ -82,7 +81,7 @@ impl Shards {
     fn folder(&self, out: &Path) -> Result<Folder, ShardError> {
         let store = DirectoryStore::new(out);
         store.check_free()?;
-        fs::create_dir_all(out).map_err(RunError::io(out, "create"))?;
+        files::create_folders(out).map_err(RunError::io(out, "create"))?;
         let folder = Folder::lock(out)?;
         if put(&store, PLAN, &self.plan_text)? == Stored::Exists && super::existing(&store, PLAN)? != self.plan_text {
             return Err(ShardError::OtherRun { dir: out.to_owned() });

@@ -4,8 +4,10 @@ use std::fs::{self, OpenOptions};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
-use crate::folder::{PLAN, sync};
+use crate::folder::PLAN;
 use crate::{RunError, folder};
+
+use robogate_dictionary::files;
 
 /// A store of files that many processes use at the same time, without locks and without renames.
 ///
@@ -119,7 +121,7 @@ impl ShardStore for DirectoryStore {
             return Ok(Stored::Exists);
         }
         let folder = path.parent().unwrap_or(&self.dir);
-        fs::create_dir_all(folder)?;
+        files::create_folders(folder)?;
         let part = Self::write_part(&path, bytes)?;
         // A link fails if the name exists, unlike a rename. The content is complete before the name exists.
         let linked = fs::hard_link(&part, &path);
@@ -127,7 +129,7 @@ impl ShardStore for DirectoryStore {
         match linked {
             Ok(()) => {
                 removed?;
-                sync(folder)?;
+                files::sync_folder(folder)?;
                 Ok(Stored::New)
             }
             Err(error) if error.kind() == io::ErrorKind::AlreadyExists => Ok(Stored::Exists),

@@ -183,3 +183,24 @@ fn damaged_journal_error_has_hint() {
     let error = resume(base.path(), &Synthetic::default(), 1).unwrap_err();
     assert!(matches!(error, RunError::Dictionary(DictionaryError::DamagedJournal { .. })), "{error}");
 }
+
+/// A folder with a plan has the documents of its campaign. A process that was killed between them can be started again.
+#[test]
+fn documents_are_written_before_the_plan() {
+    let base = tempfile::tempdir().unwrap();
+    let documents: [(&str, &[u8]); 1] = [("gate-question.json", b"{}")];
+    let begin = |dir: &std::path::Path| {
+        let mut go_on = |_: &robogate_campaign::Round<'_>| std::ops::ControlFlow::Continue(());
+        with_pool(&Synthetic::default(), 1, &mut |_, _| {}, |pool, events| {
+            robogate_campaign::start_in_rounds(dir, &plan(5, 0), provenance(), &documents, pool, events, &mut go_on)
+        })
+    };
+    fs::write(base.path().join("gate-question.json"), "half").unwrap();
+    begin(base.path()).unwrap();
+    assert_eq!(fs::read(base.path().join("gate-question.json")).unwrap(), b"{}");
+    // A document that cannot be written leaves no plan.
+    let other = base.path().join("other");
+    fs::create_dir_all(other.join("gate-question.json")).unwrap();
+    assert!(matches!(begin(&other), Err(RunError::Io { .. })));
+    assert!(!other.join("plan.json").exists());
+}

@@ -201,7 +201,7 @@ fn early_stop_merges_fewer_rounds() {
         if round.number == 1 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     };
     with_pool(&Synthetic::default(), 1, &mut |_, _| {}, |pool, events| {
-        start_in_rounds(&one, &plan, origin(), pool, events, &mut two_rounds)
+        start_in_rounds(&one, &plan, origin(), &[], pool, events, &mut two_rounds)
     })
     .unwrap();
     let campaign = begin(&dir, 2, &plan, origin()).unwrap();

@@ -41,7 +41,7 @@ fn run(dir: &Path, rounds: u64, last: u64, threads: usize) -> (Completion, Vec<u
     let plan = Plan::of_suite(suite(), rounds, 7);
     let mut seen = Vec::new();
     let completion = with_pool(&Synthetic::default(), threads, &mut |_, _| {}, |pool, events| {
-        start_in_rounds(dir, &plan, origin(), pool, events, &mut |round| {
+        start_in_rounds(dir, &plan, origin(), &[], pool, events, &mut |round| {
             assert_eq!(round.entries.len(), 3);
             seen.push(round.number);
             if round.number == last { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
@@ -108,7 +108,7 @@ fn resume_replays_all_rounds() {
     };
     let mut first = Vec::new();
     let stopped = with_pool(&Synthetic::default(), 2, &mut stop_after(11), |pool, events| {
-        start_in_rounds(&pieces, &plan, origin(), pool, events, &mut |round| until_8(&mut first, round.number))
+        start_in_rounds(&pieces, &plan, origin(), &[], pool, events, &mut |round| until_8(&mut first, round.number))
     });
     assert!(matches!(stopped.unwrap(), Completion::Interrupted { .. }));
     assert!(!first.is_empty() && first.len() < 9, "{first:?}");

@@ -147,6 +147,27 @@ fn trailing_zeros_are_cut_off() {
     assert_eq!(fs::metadata(&path).unwrap().len(), ends[3]);
 }
 
+/// After a power failure a file may have later data without the data before it.
+#[test]
+fn lost_writes_end_the_journal() {
+    let folder = Folder::new("journal-holes");
+    let path = folder.join("whole");
+    let ends = journal(&path, 0..6);
+    let whole = fs::read(&path).unwrap();
+    let path = folder.join("holes");
+    // A whole record, several of them, and a page that begins and ends within records.
+    let (second, third) = (ends[1] as usize, ends[2] as usize);
+    for hole in [second..third, second..ends[4] as usize, second + 40..third + 5] {
+        let mut lost = whole.clone();
+        lost[hole.clone()].fill(0);
+        fs::write(&path, &lost).unwrap();
+        let (journal, recovery) = Journal::open(&path, &PLAN).unwrap();
+        assert_eq!((journal.len(), recovery.dropped_bytes), (1, whole.len() as u64 - ends[1]), "{hole:?}");
+        drop(journal);
+        fs::remove_file(&path).unwrap();
+    }
+}
+
 #[test]
 fn flipped_bits_name_their_record() {
     let folder = Folder::new("journal-flip");

@@ -10,6 +10,7 @@ mod bombs;
 mod common;
 mod export;
 mod exported;
+mod files;
 mod foreign_files;
 mod fuzz;
 mod hostile;

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use robogate_dictionary::{Dictionary, Provenance, Tool};
+use robogate_dictionary::{Dictionary, Provenance, Tool, files};
 
 use super::manifest::is_plain;
 use super::{
@@ -66,10 +66,10 @@ pub fn write(to: &Path, ingredients: &Ingredients, key: Option<&PrivateKey>) -> 
     if partial.exists() {
         fs::remove_dir_all(&partial).map_err(EvidenceError::io(&partial, "clear"))?;
     }
-    fs::create_dir_all(&partial).map_err(EvidenceError::io(to, "create"))?;
+    files::create_folders(&partial).map_err(EvidenceError::io(to, "create"))?;
     let written = fill(&partial, ingredients, key).map_err(|error| error.at(&partial, to)).and_then(|manifest| {
-        sync(&partial).map_err(EvidenceError::io(to, "write"))?;
-        fs::rename(&partial, to).map_err(EvidenceError::io(to, "create"))?;
+        files::sync_all_below(&partial).map_err(EvidenceError::io(to, "write"))?;
+        fs::rename(&partial, to).and_then(|()| files::sync_parent(to)).map_err(EvidenceError::io(to, "create"))?;
         Ok(manifest)
     });
     if written.is_err() {
@@ -77,19 +77,6 @@ pub fn write(to: &Path, ingredients: &Ingredients, key: Option<&PrivateKey>) -> 
         let _ = fs::remove_dir_all(&partial);
     }
     written
-}
-
-/// Flushes all files and folders below a folder, so that the folder is complete after a power failure as well.
-fn sync(folder: &Path) -> std::io::Result<()> {
-    for entry in fs::read_dir(folder)? {
-        let entry = entry?;
-        if entry.file_type()?.is_dir() {
-            sync(&entry.path())?;
-        } else {
-            fs::File::open(entry.path())?.sync_all()?;
-        }
-    }
-    fs::File::open(folder)?.sync_all()
 }
 
 fn fill(folder: &Path, ingredients: &Ingredients, key: Option<&PrivateKey>) -> Result<Manifest, EvidenceError> {

@@ -244,3 +244,44 @@ fn diagnostic_array(alarm: &Alarm) -> Value {
         "message": alarm.what, "hardware_id": alarm.robot, "values": values });
     json!({ "header": { "stamp": stamp, "frame_id": "" }, "status": [status] })
 }
+
+#[cfg(test)]
+mod tests {
+    use robogate_testing::fuzz::Target;
+
+    use super::*;
+
+    /// Messages of a server, up to the cycle that a map makes of them.
+    #[test]
+    fn fuzzed_messages_are_read_or_refused() {
+        let map = r#"
+            robot = "cell-1"
+            recipe = "bracket"
+            success = { field = "status", is = ["ok"] }
+            failure_mode = "status"
+            id = "serial"
+            [end]
+            topic = "/cell/result"
+            time = "header.stamp"
+            [parameters]
+            mass_kg = "angles.1"
+        "#;
+        let map = TopicMap::parse(map).unwrap();
+        let message = |status: &str| {
+            let stamp = json!({ "sec": 1_795_254_000_u64, "nanosec": 5 });
+            let msg = json!({ "header": { "stamp": stamp }, "serial": 7, "status": status, "angles": [0.5, 1e3] });
+            json!({ "op": "publish", "topic": "/cell/result", "msg": msg }).to_string().into_bytes()
+        };
+        let reports = json!({ "op": "status", "level": "error", "msg": "no such topic" }).to_string().into_bytes();
+        let valid = [message("ok"), message("jammed")];
+        let words =
+            ["\"publish\"", "\"/cell/result\"", "\"status\"", "\"stamp\"", "null", "1e400", "-1", "[", "{", "\"\""];
+        Target { name: "rosbridge", valid: &valid, kept: &[reports], words: &words, inputs: 500 }.run(|bytes| {
+            let Ok(text) = std::str::from_utf8(bytes) else { return false };
+            let Ok(message) = FromServer::parse(text) else { return false };
+            let _ = message.problem();
+            let mut reader = TopicReader::new(map.clone());
+            reader.observe(&message.topic, 5.0, message.msg).is_some_and(|cycle| cycle.is_ok())
+        });
+    }
+}

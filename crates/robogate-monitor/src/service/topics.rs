@@ -326,6 +326,15 @@ mod tests {
         tilt = "angles.1"
     "#;
 
+    #[test]
+    fn fuzzed_maps_are_read_or_refused() {
+        let words =
+            ["[end]", "[start]", "[events]", "[parameters]", "{ topic = \"/x\", field = \"y.0.z\" }", "is = []", "="];
+        let valid = [MAP.as_bytes().to_vec()];
+        robogate_testing::fuzz::Target { name: "topics", valid: &valid, kept: &[], words: &words, inputs: 500 }
+            .run(|bytes| std::str::from_utf8(bytes).is_ok_and(|text| TopicMap::parse(text).is_ok()));
+    }
+
     fn result(status: &Value) -> Value {
         json!({ "header": { "stamp": { "sec": 1_795_254_008, "nanosec": 500_000_000 } }, "status": status, "reason": "jammed",
             "dropped": 0, "angles": [0.5, 0.25], "data": "{\"serial\": 17}" })

@@ -212,6 +212,7 @@ impl Reader<'_> {
 
 #[cfg(test)]
 mod tests {
+    use robogate_testing::fuzz::Target;
     use serde_json::json;
 
     use super::*;
@@ -247,6 +248,21 @@ mod tests {
         for end in 0..message().len() {
             assert!(definition.decode(&message()[..end]).is_err(), "{end}");
         }
+    }
+
+    /// The first byte says where the definition ends and the message begins.
+    #[test]
+    fn fuzzed_messages_are_read_or_refused() {
+        let both = |text: &str, message: &[u8]| [text.as_bytes(), b"\0\0\0\0", message].concat();
+        let valid = [both(TEXT, &message()), both("float64[3] a\nwstring b", &[0, 1, 0, 0])];
+        let words = ["uint8", "[]", "[<=4]", "string", "wstring", "MSG: ", "====", "[4000000000]", "a/A a", "\n"];
+        let read = |bytes: &[u8]| {
+            let cut = bytes.windows(4).position(|part| part == b"\0\0\0\0").unwrap_or(bytes.len());
+            let text = String::from_utf8_lossy(&bytes[..cut]);
+            let message = bytes.get(cut + 4..).unwrap_or_default();
+            Definition::parse("cell_msgs/msg/Result", &text).is_ok_and(|definition| definition.decode(message).is_ok())
+        };
+        Target { name: "cdr", valid: &valid[..1], kept: &valid[1..], words: &words, inputs: 500 }.run(read);
     }
 
     #[test]

@@ -219,6 +219,7 @@ impl<'a> Fields<'a> {
 
 #[cfg(test)]
 mod tests {
+    use robogate_testing::fuzz::Target;
     use serde_json::json;
 
     use super::*;
@@ -249,6 +250,14 @@ mod tests {
         assert_eq!(all.len(), 3);
         let expected = McapMessage { topic: "/cell/result".to_owned(), time_s: 2.0, message: json!({ "serial": 2 }) };
         assert_eq!(all[2], expected);
+    }
+
+    #[test]
+    fn fuzzed_files_are_read_or_refused() {
+        let valid = [written()];
+        let words = ["json", "cdr", "ros2msg", "zstd", "lz4", "/cell/result", "\u{5}\0\0\0\0\0\0\0\0"];
+        Target { name: "mcap", valid: &valid, kept: &[], words: &words, inputs: 500 }
+            .run(|bytes| messages(bytes).is_ok());
     }
 
     #[test]

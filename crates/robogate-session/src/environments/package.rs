@@ -73,6 +73,7 @@ const PACKAGE: &[(&str, &str)] = &[
     embedded!("robogate_eval/serving/timing.py"),
     embedded!("robogate_eval/serving/trajectory.py"),
     embedded!("robogate_eval/serving/view_knobs.py"),
+    embedded!("robogate_eval/serving/watch.py"),
     embedded!("robogate_eval/stable_baselines.py"),
     embedded!("robogate_bridge/__init__.py"),
     embedded!("robogate_bridge/cell.py"),

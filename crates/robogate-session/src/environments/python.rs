@@ -12,7 +12,7 @@ use serde::de::DeserializeOwned;
 use super::package;
 use super::process::{NoAnswer, Process};
 use crate::failure::{Failure, OrFailure};
-use crate::isolation::Sandbox;
+use crate::isolation::{Sandbox, SandboxFolders, hint_for_refused};
 use crate::loaded_policy::LoadedPolicy;
 
 /// Exit code of `python -m robogate_eval.environments` for an error that the user can correct.
@@ -81,10 +81,15 @@ impl Interpreter {
     }
 
     /// The same interpreter, whose processes run this environment and policy in a sandbox.
-    pub fn sandboxed(mut self, environment: &str, loads: Option<&LoadedPolicy>) -> anyhow::Result<Self> {
+    pub fn sandboxed(
+        mut self,
+        environment: &str,
+        loads: Option<&LoadedPolicy>,
+        folders: &SandboxFolders,
+    ) -> anyhow::Result<Self> {
         let mut python = Command::new(&self.python);
         python.env("PYTHONPATH", &self.python_path);
-        self.sandbox = Some(Sandbox::of(environment, loads, &mut python)?);
+        self.sandbox = Some(Sandbox::of(environment, loads, folders, &mut python)?);
         Ok(self)
     }
 
@@ -181,9 +186,10 @@ pub(crate) fn readable(output: &str) -> String {
             let (before, own) = output.split_at(at);
             let refused = before.lines().filter(|line| line.starts_with("sandbox: "));
             let own = own.trim_start_matches("error: ").trim_end();
-            std::iter::once(own).chain(refused).collect::<Vec<_>>().join("\n")
+            let hint = hint_for_refused(before);
+            std::iter::once(own).chain(refused).chain(hint).collect::<Vec<_>>().join("\n")
         }
-        None => output.trim_end().to_owned(),
+        None => std::iter::once(output.trim_end()).chain(hint_for_refused(output)).collect::<Vec<_>>().join("\n"),
     }
 }
 
@@ -201,6 +207,8 @@ mod tests {
     fn own_error_is_shown_alone() {
         assert_eq!(readable("warning: old\nerror: no such task\nHint: another\n"), "no such task\nHint: another");
         assert_eq!(readable("sandbox: refused to x\nlow\nerror: no"), "no\nsandbox: refused to x");
+        let refused = readable("sandbox: refused to read /data/x\nTraceback");
+        assert!(refused.starts_with("sandbox: ") && refused.contains("\nHint: --sandbox-read FOLDER"), "{refused}");
         assert_eq!(readable("Traceback:\nValueError: error: x\n"), "Traceback:\nValueError: error: x");
     }
 }

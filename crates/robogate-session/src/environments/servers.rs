@@ -17,6 +17,7 @@ use super::imported::Imported;
 use super::process::{Process, locked};
 use super::python::{Interpreter, readable};
 use crate::failure::{Failure, OrFailure};
+use crate::isolation::hint_for_refused;
 use crate::loaded_policy::LoadedPolicy;
 use crate::notice::{note, warning};
 use crate::text::{foreign, indented};
@@ -153,7 +154,9 @@ impl Servers {
             Ok(line) => {
                 let ready = serde_json::from_str::<Ready>(&line).ok();
                 for refused in ready.iter().flat_map(|ready| &ready.refused).filter(|_| position == 0) {
-                    note(format_args!("the sandbox refused {} to {}", self.environment, foreign(refused)));
+                    let told = format!("the sandbox refused {} to {}", self.environment, foreign(refused));
+                    let hint = hint_for_refused(&format!("refused to {refused}"));
+                    note(std::iter::once(&*told).chain(hint).collect::<Vec<_>>().join("\n"));
                 }
                 for found in ready.iter().flat_map(|ready| &ready.notes).filter(|_| position == 0) {
                     warning(format_args!("{}: {}", self.environment, foreign(found)));

@@ -8,7 +8,7 @@ use anyhow::{Context, anyhow};
 use robogate_campaign::Plan;
 use robogate_core::samplers::Uniform;
 use robogate_core::{Assignment, ParameterSpace, Sampler, Seed, Suite, SuiteError};
-use robogate_dictionary::Provenance;
+use robogate_dictionary::{Provenance, files};
 use robogate_gate::{Asked, Baseline, Record, Requirements, Sampling};
 use serde::{Deserialize, Serialize};
 
@@ -144,12 +144,8 @@ impl FleetPlan {
             ))
             .or_request();
         }
-        fs::create_dir_all(dir).with_context(|| format!("cannot create {}", dir.display())).or_broken()?;
-        let part = dir.join(format!(".{PLAN}.part"));
-        fs::write(&part, text)
-            .and_then(|()| fs::rename(&part, &path))
-            .with_context(|| format!("cannot write {}", path.display()))
-            .or_broken()
+        files::create_folders(dir).with_context(|| format!("cannot create {}", dir.display())).or_broken()?;
+        files::write(&path, text).with_context(|| format!("cannot write {}", path.display())).or_broken()
     }
 
     /// Reads the plan of a fleet.

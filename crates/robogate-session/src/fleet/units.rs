@@ -82,7 +82,7 @@ impl FleetPlan {
             let completion = if folder.join(PLAN).is_file() {
                 rounds.resume(&provenance, Arms::none(), executor, events)?
             } else {
-                rounds.run(&plan, provenance, Arms::none(), executor, &|| {}, events)?
+                rounds.run(&plan, provenance, Arms::none(), executor, &[], events)?
             };
             if let Completion::Interrupted { done, episodes } = completion {
                 return Ok(FleetEnd::Interrupted { judged: judged.len(), unit: folder, done, episodes });

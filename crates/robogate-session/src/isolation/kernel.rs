@@ -57,7 +57,7 @@ fn restrict(rights: &Rights) -> anyhow::Result<i32> {
     fcntl(&listener, FcntlArg::F_SETFD(FdFlag::empty())).context("cannot keep the listening socket")?;
     ruleset()
         .and_then(|rules| rules.add_rules(path_beneath_rules(&rights.read, AccessFs::from_read(ABI::V5))))
-        .and_then(|rules| rules.add_rules(path_beneath_rules([&rights.write], AccessFs::from_all(ABI::V5))))
+        .and_then(|rules| rules.add_rules(path_beneath_rules(&rights.write, AccessFs::from_all(ABI::V5))))
         .and_then(|rules| rules.add_rules(path_beneath_rules(["/dev/null"], AccessFs::from_file(ABI::V5))))
         .and_then(RulesetCreated::restrict_self)
         .context("cannot restrict the access to files")?;

@@ -23,7 +23,8 @@ use limits::Limits;
 pub(crate) use limits::this_program;
 pub(crate) use model::check_model;
 pub use model::in_child;
-pub(crate) use sandbox::{Sandbox, Scratch};
+pub use sandbox::SandboxFolders;
+pub(crate) use sandbox::{Sandbox, Scratch, hint_for_refused};
 
 /// First argument of a child that compiles a robot's model: the name of the engine and the robot's folder
 /// follow.

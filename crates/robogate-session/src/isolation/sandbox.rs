@@ -65,8 +65,50 @@ const TOLD: &str = "ROBOGATE_SANDBOX";
 pub(crate) struct Rights {
     /// Files and folders that it may read.
     pub(super) read: Vec<PathBuf>,
-    /// The folder that it may also change.
-    pub(super) write: PathBuf,
+    /// Folders that it may also change.
+    pub(super) write: Vec<PathBuf>,
+}
+
+/// Folders and files elsewhere that the user opens to processes in the sandbox.
+#[derive(Debug, Clone, Default)]
+pub struct SandboxFolders {
+    /// Those that they may read.
+    pub read: Vec<PathBuf>,
+    /// Those that they may read and change.
+    pub write: Vec<PathBuf>,
+}
+
+impl SandboxFolders {
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.read.is_empty() && self.write.is_empty()
+    }
+
+    /// The same with whole paths, without links.
+    fn resolved(&self) -> anyhow::Result<Self> {
+        let resolve = |flag: &'static str, paths: &[PathBuf]| -> anyhow::Result<Vec<PathBuf>> {
+            let resolve = |path: &PathBuf| {
+                let found = path.canonicalize();
+                found.with_context(|| {
+                    format!("{flag} {}: cannot be opened\nHint: name a folder that exists", path.display())
+                })
+            };
+            paths.iter().map(resolve).collect()
+        };
+        Ok(Self { read: resolve(SANDBOX_READ, &self.read)?, write: resolve(SANDBOX_WRITE, &self.write)? })
+    }
+}
+
+/// The option that opens a folder to processes in the sandbox.
+const SANDBOX_READ: &str = "--sandbox-read";
+/// The same for changes.
+const SANDBOX_WRITE: &str = "--sandbox-write";
+
+/// What the user can do about operations that the sandbox refused, if they were of files.
+pub(crate) fn hint_for_refused(text: &str) -> Option<&'static str> {
+    let refused = |what: &str| text.contains(&format!("refused to {what} /"));
+    (refused("read") || refused("write"))
+        .then_some("Hint: --sandbox-read FOLDER opens a folder to the environment, and --sandbox-write FOLDER also lets it change files there")
 }
 
 /// The sandbox of the processes of one environment.
@@ -74,6 +116,7 @@ pub(crate) struct Rights {
 pub(crate) struct Sandbox {
     python: PathBuf,
     read: Vec<PathBuf>,
+    write: Vec<PathBuf>,
     /// Environment variables that select the libraries for graphics, if the user chose none: there is no
     /// display.
     graphics: BTreeMap<String, String>,
@@ -120,7 +163,12 @@ impl Sandbox {
     ///
     /// # Errors
     /// The kernel has no sandbox, or a folder that the environment needs contains the user's keys.
-    pub(crate) fn of(environment: &str, loads: Option<&LoadedPolicy>, python: &mut Command) -> anyhow::Result<Self> {
+    pub(crate) fn of(
+        environment: &str,
+        loads: Option<&LoadedPolicy>,
+        folders: &SandboxFolders,
+        python: &mut Command,
+    ) -> anyhow::Result<Self> {
         /// Prints the interpreter, the folders from which it imports, and the libraries for graphics: their
         /// search starts processes.
         const ABOUT: &str = r"
@@ -140,6 +188,7 @@ print(json.dumps([sys.executable, [sys.prefix, sys.base_prefix, sys.exec_prefix,
             return Err(anyhow!("only the command `robogate` starts a sandbox"));
         }
         kernel::available()?;
+        let SandboxFolders { read: named, write } = folders.resolved()?;
         let output = python.args(["-c", ABOUT]).stdin(Stdio::null()).output();
         let output = output.with_context(|| format!("cannot start {}", python.get_program().display()))?;
         let (executable, imports, graphics): (PathBuf, Vec<PathBuf>, BTreeMap<String, String>) =
@@ -156,25 +205,29 @@ print(json.dumps([sys.executable, [sys.prefix, sys.base_prefix, sys.exec_prefix,
         }
         own.extend(loads.map(LoadedPolicy::folders).unwrap_or_default());
         let folders = imports.into_iter().chain(own).filter_map(|folder| folder.canonicalize().ok());
-        let mut read: Vec<PathBuf> = OF_THE_SYSTEM.iter().map(PathBuf::from).chain(folders).collect();
+        let mut read: Vec<PathBuf> = OF_THE_SYSTEM.iter().map(PathBuf::from).chain(folders).chain(named).collect();
         read.sort();
         read.dedup();
         let private = [std::env::var_os("HOME").map(PathBuf::from), origin::state_folder()];
         let private: Vec<PathBuf> = private.into_iter().flatten().filter_map(|path| path.canonicalize().ok()).collect();
-        if let Some(folder) = read.iter().find(|folder| private.iter().any(|private| private.starts_with(folder))) {
+        let closed = |folder: &&PathBuf| private.iter().any(|private| private.starts_with(folder));
+        if let Some(folder) = read.iter().chain(&write).find(closed) {
             return Err(anyhow!(
                 "--sandbox: the environment would have to read {}, which contains your home folder or your keys\n\
                  Hint: put the files of the environment into a folder of their own",
                 folder.display()
             ));
         }
-        Ok(Self { python: executable, read, graphics })
+        Ok(Self { python: executable, read, write, graphics })
     }
 
     /// The command that runs in the sandbox, with its folder for temporary files.
     pub(crate) fn around(&self, command: &Command) -> io::Result<(Command, Scratch)> {
         let scratch = Scratch::below(&std::env::temp_dir())?;
-        let rights = Rights { read: self.read.clone(), write: scratch.0.clone() };
+        let rights = Rights {
+            read: self.read.clone(),
+            write: std::iter::once(&scratch.0).chain(&self.write).cloned().collect(),
+        };
         let told = serde_json::to_string(&rights)?;
         let mut inside = this_program().map_err(io::Error::other)?;
         inside.arg(PYTHON).arg(&told).arg(&self.python).args(command.get_args());

@@ -240,6 +240,19 @@ impl Subject {
         Self { records_signals: true, ..self }
     }
 
+    /// The documents that a run of this subject has beside its plan: names and contents.
+    ///
+    /// # Errors
+    /// None that is known.
+    pub fn documents(&self) -> Result<Vec<(&'static str, Vec<u8>)>, Failure> {
+        if self.records_signals { Ok(vec![(SIGNALS, signals::empty(&self.task)?)]) } else { Ok(Vec::new()) }
+    }
+
+    /// Makes recorded signals safe on disk.
+    pub(crate) fn sync_signals(&self) {
+        self.signals.sync();
+    }
+
     /// Begins to record signals in the folder of a run, if they are wanted or if it has some already.
     pub(crate) fn begin_signals(&self, run: &Path, wanted: bool) -> Result<(), Failure> {
         if wanted || self.records_signals || run.join(SIGNALS).is_file() {

@@ -1,13 +1,13 @@
 //! Writes the scene of an episode for plain MuJoCo, with the inputs that repeat its motion there.
 
 use std::fmt::Write as _;
-use std::fs;
 use std::path::Path;
 use std::sync::PoisonError;
 
 use anyhow::{Context, anyhow};
 use robogate_campaign::{Worker, WorkerFactory};
 use robogate_core::{Episode, rollout};
+use robogate_dictionary::files;
 use robogate_physics::{Input, Tape};
 
 use super::Subject;
@@ -48,7 +48,7 @@ impl Subject {
         let Some(scene) = tape.scene.as_ref().filter(|_| !tape.inputs.is_empty()) else {
             return Err(anyhow!("the episode has no time step: {:?}", episode.outcome)).or_request();
         };
-        fs::create_dir_all(out).with_context(|| format!("cannot make {}", out.display())).or_request()?;
+        files::create_folders(out).with_context(|| format!("cannot make {}", out.display())).or_request()?;
         let out = out.canonicalize().with_context(|| out.display().to_string()).or_request()?;
         let names =
             engine.write_scene(scene, &tape.start, &out, "scene.xml").map_err(|why| anyhow!(why)).or_broken()?;
@@ -58,7 +58,7 @@ impl Subject {
             ("trajectory.csv", trajectory(&tape)),
             ("play.py", PLAY.replace("@VERSION@", &version)),
         ] {
-            fs::write(out.join(name), text).with_context(|| format!("cannot write {name}")).or_broken()?;
+            files::write(out.join(name), text).with_context(|| format!("cannot write {name}")).or_broken()?;
         }
         Ok(WrittenScene { steps: tape.inputs.len(), repeats: episode.repeats(recorded) })
     }

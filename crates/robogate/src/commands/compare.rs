@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, anyhow};
 use clap::Args;
 use robogate_analysis::{AnalysisError, Comparison, ComparisonError, ComparisonOptions, Source};
+use robogate_dictionary::files;
 use robogate_report::{comparison_html_with, comparison_json, comparison_markdown, comparison_text};
 
 use crate::arguments::ReopeningArguments;
@@ -130,7 +131,7 @@ pub(super) fn exit(error: ComparisonError) -> Exit {
 }
 
 pub(super) fn write(file: &Path, text: &str) -> Result<(), Exit> {
-    std::fs::write(file, text).with_context(|| format!("cannot write {}", file.display())).or_broken()?;
+    files::write(file, text).with_context(|| format!("cannot write {}", file.display())).or_broken()?;
     note(format_args!("{}: {} KB", file.display(), text.len().div_ceil(1024)));
     Ok(())
 }

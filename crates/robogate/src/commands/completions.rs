@@ -1,11 +1,11 @@
 //! `robogate completions`: completions of the shell, and man pages.
 
-use std::fs;
 use std::path::PathBuf;
 
 use anyhow::Context;
 use clap::{Args, CommandFactory, ValueEnum};
-use clap_complete::Shell;
+use clap_complete::{Generator, Shell};
+use robogate_dictionary::files;
 
 use crate::exit::{DONE, Exit, OrExit};
 use crate::place;
@@ -41,7 +41,7 @@ impl Completions {
             What::Fish => Shell::Fish,
             What::Man => {
                 let out = self.out.as_deref().unwrap_or_else(|| std::path::Path::new("."));
-                fs::create_dir_all(out)
+                files::create_folders(out)
                     .and_then(|()| clap_mangen::generate_to(command, out))
                     .with_context(|| format!("cannot write the man pages into {}", out.display()))
                     .or_unwritable()?;
@@ -57,11 +57,15 @@ impl Completions {
                 line(String::from_utf8_lossy(&script).trim_end());
             }
             Some(out) => {
-                let written = fs::create_dir_all(out)
-                    .and_then(|()| clap_complete::generate_to(shell, &mut command, "robogate", out))
-                    .with_context(|| format!("cannot write into {}", out.display()))
+                // The generator would end the process at an error.
+                let mut script = Vec::new();
+                clap_complete::generate(shell, &mut command, "robogate", &mut script);
+                let file = out.join(shell.file_name("robogate"));
+                files::create_folders(out)
+                    .and_then(|()| files::write(&file, script))
+                    .with_context(|| format!("cannot write {}", file.display()))
                     .or_unwritable()?;
-                note(format_args!("completions: {}", written.display()));
+                note(format_args!("completions: {}", file.display()));
             }
         }
         Ok(DONE)

@@ -9,7 +9,7 @@ use std::time::Duration;
 use anyhow::{Context, anyhow, bail};
 use clap::{Args, Subcommand};
 use robogate_core::{Allowed, Domain, Parameter, ParameterSpec, Scale};
-use robogate_dictionary::check_columns;
+use robogate_dictionary::{check_columns, files};
 use robogate_remote::Timeouts;
 use robogate_remote::message::Hello;
 use robogate_stats::format::number;
@@ -186,7 +186,7 @@ impl Setup {
             return Err(Exit { code: INFRASTRUCTURE, error: why });
         }
         // The marker is written last, so an interrupted setup is repeated.
-        fs::write(installed_marker(&folder), requirements).or_broken()?;
+        files::write(installed_marker(&folder), requirements).or_broken()?;
         note(format_args!("{} is ready", wanted.name));
         note("next: robogate list environments");
         Ok(DONE)
@@ -235,10 +235,12 @@ impl Inspect {
 
 /// Writes a file that must not exist yet.
 fn write_new(file: &Path, text: &str) -> anyhow::Result<()> {
-    if file.exists() {
-        bail!("{}: the file exists already\nHint: name another file", file.display());
+    match files::write_new(file, text) {
+        Err(why) if why.kind() == std::io::ErrorKind::AlreadyExists => {
+            bail!("{}: the file exists already\nHint: name another file", file.display())
+        }
+        written => written.with_context(|| format!("cannot write {}", file.display())),
     }
-    fs::write(file, text).with_context(|| format!("cannot write {}", file.display()))
 }
 
 fn print(description: &Description) {

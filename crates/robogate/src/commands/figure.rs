@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, anyhow};
 use clap::Args;
 use robogate_analysis::AnalysisOptions;
+use robogate_dictionary::files;
 use robogate_report::{FigureFile, figure_files};
 
 use crate::commands::analyze::analyse;
@@ -103,7 +104,7 @@ mod print {
 }
 
 fn write(file: &Path, bytes: &[u8]) -> Result<(), Exit> {
-    std::fs::write(file, bytes).with_context(|| format!("cannot write {}", file.display())).or_unwritable()?;
+    files::write(file, bytes).with_context(|| format!("cannot write {}", file.display())).or_unwritable()?;
     note(format_args!("written: {}", foreign(file.display())));
     Ok(())
 }

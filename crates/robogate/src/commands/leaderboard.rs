@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use clap::{Args, ValueEnum};
 use robogate_core::TaskSpec;
+use robogate_dictionary::files;
 use robogate_gate::{Asked, Baseline, Leaderboard, Record, Requirements, Sampling};
 use robogate_report::{leaderboard_html, leaderboard_markdown, leaderboard_text};
 
@@ -82,7 +83,7 @@ impl Rank {
         };
         match (text, &self.out) {
             (Some(text), Some(out)) => {
-                std::fs::write(out, text).with_context(|| format!("cannot write {}", out.display())).or_broken()?;
+                files::write(out, text).with_context(|| format!("cannot write {}", out.display())).or_broken()?;
                 note(format_args!("{}: {} policies", out.display(), board.standings.len()));
             }
             (Some(text), None) => line(text.trim_end()),

@@ -7,6 +7,7 @@ use std::time::Instant;
 use anyhow::{Context, anyhow};
 use clap::{Args, Subcommand};
 use robogate_core::{Action, Environment, FaultKind, Image, Observation, TaskSpec};
+use robogate_dictionary::files;
 use robogate_policy::{
     Arm, BoundMap, Chunk, Decoder, Draft, ExternalPolicy, MapRow, PolicyError, Profile, Side, TaskMap, check_task,
     map_table, outside_range,
@@ -242,7 +243,7 @@ impl Check {
             false => profile,
         };
         let text = toml::to_string_pretty(&profile).or_broken()?;
-        std::fs::write(path, text).with_context(|| format!("cannot write {}", path.display())).or_broken()?;
+        files::write(path, text).with_context(|| format!("cannot write {}", path.display())).or_broken()?;
         for text in &open {
             line(format_args!("open: {}", foreign(text)));
         }

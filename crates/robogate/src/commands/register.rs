@@ -9,7 +9,7 @@ use robogate_dictionary::Provenance;
 use robogate_gate::evidence::{PrivateKey, REGISTRATION, REGISTRATION_KEY, list_of, register};
 
 use crate::exit::{Exit, OrExit};
-use crate::terminal::{note, warning};
+use crate::terminal::note;
 
 /// The key that signs registrations.
 pub(crate) struct Registrar {
@@ -49,16 +49,6 @@ impl Registered {
     /// The files in the folder of the run: names and contents.
     pub(crate) fn files(&self) -> [(&'static str, &[u8]); 2] {
         [(REGISTRATION, self.envelope.as_bytes()), (REGISTRATION_KEY, self.key.as_bytes())]
-    }
-
-    /// Writes the files beside the plan. They can be restored from the list of registrations.
-    pub(crate) fn write(&self, dir: &Path) {
-        for (name, content) in self.files() {
-            let path = dir.join(name);
-            if let Err(error) = fs::write(&path, content) {
-                warning(format_args!("cannot write {}: {error}", path.display()));
-            }
-        }
     }
 }
 

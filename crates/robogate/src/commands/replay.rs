@@ -259,7 +259,8 @@ impl Replay {
         let requested = episode.scenario.requested.iter();
         metadata.extend(requested.map(|(name, value)| (format!("parameter.{name}"), value.to_string())));
         let task = filmed.task();
-        film::create(file, &mcap(&Export { task, recording, samples, images: &images, metadata })).or_unwritable()?;
+        picture::create(file, &mcap(&Export { task, recording, samples, images: &images, metadata }))
+            .or_unwritable()?;
         note(foreign(file.display()));
         Ok(())
     }

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, anyhow};
 use clap::{Args, ValueEnum};
 use robogate_analysis::{Analysis, AnalysisOptions, DEFAULT_TARGET, HERE, Source, pair_counts};
+use robogate_dictionary::files;
 use robogate_gate::evidence::MANIFEST;
 use robogate_gate::{Evaluation, Sampling};
 use robogate_report::{Additions, Change, Watch, analysis_json_with, html_with, markdown_with, required_success};
@@ -180,10 +181,9 @@ pub(crate) fn page(
         forces: &forces,
         active: active.as_ref(),
     };
-    // Renamed when it is complete, because an existing page is kept.
-    let part = dir.join(format!(".{PAGE}.part"));
-    std::fs::write(&part, html_with(&analysis, &additions))
-        .and_then(|()| std::fs::rename(&part, &out))
+    files::write(&out, html_with(&analysis, &additions))
+        // It may not be safe on disk. Without it, a resumed run writes it again.
+        .inspect_err(|_| drop(std::fs::remove_file(&out)))
         .with_context(|| format!("cannot write {}", out.display()))
         .or_broken()?;
     Ok((analysis, Some(watch)))
@@ -218,7 +218,7 @@ fn shown(watch: Option<&Watch>) -> Option<&Watch> {
 }
 
 fn write(out: &Path, text: &str) -> Result<(), Exit> {
-    std::fs::write(out, text).with_context(|| format!("cannot write {}", out.display())).or_broken()?;
+    files::write(out, text).with_context(|| format!("cannot write {}", out.display())).or_broken()?;
     note(format_args!("{}: {} KB", out.display(), text.len().div_ceil(1024)));
     Ok(())
 }

@@ -4,9 +4,10 @@
 use std::path::Path;
 use std::path::PathBuf;
 
-#[cfg(feature = "mujoco")]
 use anyhow::{Context, anyhow};
 use clap::{Args, Subcommand};
+#[cfg(feature = "mujoco")]
+use robogate_dictionary::files;
 #[cfg(feature = "mujoco")]
 use robogate_physics::is_folder;
 use robogate_physics::{Gripper, RobotSettings, built_in_robot, built_in_robots};
@@ -165,7 +166,7 @@ impl Init {
                 return Err(anyhow!("{}: {}", self.model.display(), lines.join("\n"))).or_usage();
             }
         };
-        std::fs::write(&file, &draft.text).with_context(|| format!("cannot write {}", file.display())).or_broken()?;
+        files::write(&file, &draft.text).with_context(|| format!("cannot write {}", file.display())).or_broken()?;
         line(format_args!("{}", bold(file.display())));
         line("Guessed, because the model does not state it:");
         draft.guesses.iter().for_each(|guess| line(format_args!("  - {guess}")));

@@ -2,6 +2,7 @@
 
 use std::io::{self, IsTerminal};
 use std::num::{NonZeroU64, NonZeroUsize};
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -15,7 +16,7 @@ use robogate_campaign::{ActiveStage, Completion, DEFAULT_SEED, Event, Executor, 
 use robogate_core::stress::STRESS_PREFIX;
 use robogate_core::{FailureMode, ParameterSpace, TaskSpec};
 use robogate_dictionary::{Dictionary, Provenance};
-use robogate_gate::Sampling;
+use robogate_gate::{ForceLimits, Sampling};
 use robogate_report::Watch;
 use robogate_stats::format::counted;
 
@@ -124,7 +125,7 @@ pub(crate) struct Run {
 
 /// The arguments of `run` that do not affect the results of a campaign. clap reports the arguments of the whole command as
 /// well.
-const WITHOUT_EFFECT: [&str; 20] = [
+const WITHOUT_EFFECT: [&str; 22] = [
     "out",
     "record_signals",
     "force_limits",
@@ -136,6 +137,8 @@ const WITHOUT_EFFECT: [&str; 20] = [
     "goes_on",
     "quiet",
     "sandbox",
+    "sandbox_read",
+    "sandbox_write",
     "verbose",
     "addresses",
     "timeout_s",
@@ -280,12 +283,14 @@ impl Run {
         }
         let arms = Arms::of(&dir, &plan, &provenance.space, &subject)?;
         subject.register(&dir, &provenance);
+        let mut documents = subject.documents()?;
+        documents.extend(limits.map(|limits| (ForceLimits::FILE, limits.to_toml().into_bytes())));
+        let documents: Vec<_> = documents.iter().map(|(name, content)| (*name, content.as_slice())).collect();
         self.how.conduct(&dir, &subject, |executor, events| {
-            let mut started = |event: &Event| {
-                force_limits::keep(&dir, limits.as_ref(), event);
-                events(event);
-            };
-            let completion = robogate_campaign::start(&dir, &plan, provenance, executor, &mut started)?;
+            let completion =
+                robogate_campaign::start_in_rounds(&dir, &plan, provenance, &documents, executor, events, &mut |_| {
+                    ControlFlow::Continue(())
+                })?;
             arms.after(completion, executor, events)
         })
     }

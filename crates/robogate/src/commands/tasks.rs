@@ -1,10 +1,10 @@
 //! `robogate tasks`: checks and starts tasks from files.
 
-use std::fs;
 use std::path::PathBuf;
 
 use anyhow::{Context, anyhow};
 use clap::{Args, Subcommand};
+use robogate_dictionary::files;
 use robogate_session::task_folder;
 use robogate_tasks::file::FILE;
 use serde_json::json;
@@ -85,13 +85,13 @@ impl Check {
 impl Init {
     fn execute(&self) -> Result<u8, Exit> {
         let file = self.folder.join(FILE);
-        fs::create_dir_all(&self.folder)
+        files::create_folders(&self.folder)
             .with_context(|| format!("cannot create {}", self.folder.display()))
             .or_usage()?;
         if file.exists() {
             return Err(anyhow!("{} exists\nHint: name another folder", file.display())).or_usage();
         }
-        fs::write(&file, task_folder::EXAMPLE)
+        files::write(&file, task_folder::EXAMPLE)
             .with_context(|| format!("cannot write {}", file.display()))
             .or_broken()?;
         line(format_args!("{}", bold(file.display())));

@@ -1,11 +1,11 @@
 //! `robogate transfer`: the real success rate from a simulation and a few real trials.
 
-use std::fs;
 use std::path::PathBuf;
 
 use anyhow::Context;
 use clap::Args;
 use robogate_analysis::transfer::{Transfer, TransferOptions};
+use robogate_dictionary::files;
 use robogate_report::{transfer_html, transfer_json, transfer_text};
 
 use crate::exit::{DONE, Exit, OrExit};
@@ -55,7 +55,7 @@ impl TransferTo {
         view.end();
         for (file, text) in [(&self.html, transfer_html as fn(&Transfer) -> String), (&self.out, transfer_json)] {
             if let Some(file) = file {
-                fs::write(file, text(&transfer))
+                files::write(file, text(&transfer))
                     .with_context(|| format!("cannot write {}", file.display()))
                     .or_broken()?;
                 note(format_args!("written: {}", file.display()));

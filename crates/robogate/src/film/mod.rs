@@ -7,7 +7,7 @@ mod mp4;
 
 use std::path::Path;
 
-use anyhow::{Context, bail};
+use anyhow::bail;
 use robogate_core::Image;
 
 pub(crate) use filmed::{Cameras, Filmed, Shot};
@@ -22,7 +22,7 @@ const STRIP_FRAMES: usize = 6;
 /// Writes the images of one camera as an animated GIF that repeats without end.
 pub(crate) fn write_gif(path: &Path, shots: &[&Shot]) -> anyhow::Result<()> {
     let bytes = gif::encode(shots)?;
-    create(path, &bytes)
+    picture::create(path, &bytes)
 }
 
 /// Writes the images of one camera as a video.
@@ -46,16 +46,4 @@ pub(crate) fn strip(shots: &[&Shot]) -> Image {
     let frames: Vec<(String, Image)> =
         shots.iter().map(|shot| (format!("{:.2} s", shot.time_s), shot.image.clone())).collect();
     picture::sheet(&frames, frames.len())
-}
-
-/// Writes a new file. Returns an error if it already exists.
-pub(crate) fn create(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
-    use std::io::Write;
-    let mut file = match std::fs::File::create_new(path) {
-        Err(e) if e.kind() == std::io::ErrorKind::AlreadyExists => {
-            bail!("{}: already exists. Remove it, or choose another path", path.display())
-        }
-        file => file.with_context(|| format!("cannot write {}", path.display()))?,
-    };
-    file.write_all(bytes).with_context(|| format!("cannot write {}", path.display()))
 }

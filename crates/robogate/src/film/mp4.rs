@@ -6,7 +6,8 @@ use std::process::{Command, Stdio};
 
 use anyhow::{Context, anyhow, bail};
 
-use super::{Shot, create};
+use super::Shot;
+use crate::picture;
 
 /// The encoder.
 const FFMPEG: &str = "ffmpeg";
@@ -35,7 +36,7 @@ pub(super) fn write(path: &Path, shots: &[&Shot]) -> anyhow::Result<()> {
     let seconds = last.time_s - first.time_s;
     let rate = if shots.len() > 1 && seconds > 0.0 { (shots.len() - 1) as f64 / seconds } else { 1.0 };
     // Keeps an existing file, and reserves the name.
-    create(path, &[])?;
+    picture::create(path, &[])?;
     let encoded = encode(path, [width, height], rate, shots);
     if encoded.is_err() {
         // Only the name was reserved. The first error is the one that matters.

@@ -41,3 +41,14 @@ fn every_verb_has_a_man_page() {
         assert!(fs::read_to_string(dir.path().join("shells").join(file)).unwrap().contains("requirements"));
     }
 }
+
+/// A full disk is an error that names the file.
+#[cfg(target_os = "linux")]
+#[test]
+fn full_disks_are_errors() {
+    let dir = TempDir::new().unwrap();
+    std::os::unix::fs::symlink("/dev/full", dir.path().join("robogate.bash")).unwrap();
+    let output = robogate_in(dir.path(), &["completions", "bash", "--out", "."]);
+    let said = crate::harness::text(&output);
+    assert!(output.status.code() == Some(5) && said.contains("cannot write ./robogate.bash"), "{said}");
+}

@@ -12,6 +12,8 @@ use std::process::{Command, Output};
 
 use tempfile::TempDir;
 
+use crate::harness::verb;
+
 /// Operations that are tried for each kind of fault.
 const POINTS: u64 = 6;
 /// Commands with at most this number of operations are stopped at each of them.
@@ -235,4 +237,38 @@ fn imports_survive_any_fault() {
         faults.everywhere(&["imported.parquet"], &import, &import);
         fs::remove_dir_all(faults.path("whole")).unwrap();
     }
+}
+
+/// Pages, figures and references are absent or whole under their names.
+#[test]
+fn pages_survive_any_fault() {
+    let Some(faults) = Faults::new() else { return };
+    let (run, inside) = recorded(&faults);
+    for (name, words) in [
+        ("page.html", ["report", &run, "--no-replay", "--out"].as_slice()),
+        ("a.svg", &["figure", &run, "marginal-effects-torque-limit", "--svg"]),
+        ("m.json", &["monitor", "reference", &run, "--learn-baseline", "--out"]),
+    ] {
+        let write = |dir: &Path| {
+            let out = inside(dir, name);
+            words.iter().map(|word| (*word).to_owned()).chain([out]).collect()
+        };
+        faults.everywhere(&[name], &write, &write);
+        fs::remove_dir_all(faults.path("whole")).unwrap();
+    }
+}
+
+#[test]
+fn resumed_gate_keeps_its_answer() {
+    let dir = TempDir::new().unwrap();
+    let at = dir.path();
+    verb(at, "gate --task pendulum --threads 2 --out gate", 1, &[]);
+    let before = files_of(at);
+    assert!(String::from_utf8_lossy(&before["gate/gate.md"]).contains("Episodes worth watching"));
+    verb(at, "resume gate", 1, &[]);
+    assert!(files_of(at) == before);
+    // What a process left that was killed before it wrote its answer.
+    fs::remove_file(at.join("gate/gate.md")).unwrap();
+    verb(at, "resume gate", 1, &[]);
+    assert!(files_of(at) == before);
 }

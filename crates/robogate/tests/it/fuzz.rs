@@ -18,7 +18,7 @@ use tempfile::TempDir;
 use crate::harness::{robogate_in, text, verb};
 
 /// Words with a meaning for TOML and for the settings.
-const TOML: &[&str] = &[
+pub(super) const TOML: &[&str] = &[
     "[",
     "]",
     "[[",
@@ -54,7 +54,7 @@ const TOML: &[&str] = &[
     "at_most",
 ];
 /// The same for JSON.
-const JSON: &[&str] = &[
+pub(super) const JSON: &[&str] = &[
     "{",
     "}",
     "[",
@@ -103,7 +103,7 @@ const XML: &[&str] = &[
     "<inertial pos=\"0 0 0\" mass=\"1\" diaginertia=\"0 0 0\"/>",
 ];
 
-fn repository(path: &str) -> PathBuf {
+pub(super) fn repository(path: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").join(path)
 }
 
@@ -116,7 +116,7 @@ fn files(folder: &str, end: &str) -> Vec<Vec<u8>> {
 }
 
 /// Tries a reader of texts with damaged ones.
-fn texts(name: &str, valid: &[Vec<u8>], words: &[&str], read: impl Fn(&str) -> bool) {
+pub(super) fn texts(name: &str, valid: &[Vec<u8>], words: &[&str], read: impl Fn(&str) -> bool) {
     assert!(!valid.is_empty());
     Target { name, valid, kept: &[], words, inputs: 300 }.run(|bytes| std::str::from_utf8(bytes).is_ok_and(&read));
 }
@@ -243,7 +243,7 @@ fn fuzzed_robot_models_are_read_or_refused() {
 
 /// Runs these commands in a folder of which one file is damaged, the next input another one. They end with a documented code, and
 /// none of them panics.
-fn damaged(name: &str, folder: &Path, names: &[String], commands: &[&str]) {
+pub(super) fn damaged(name: &str, folder: &Path, names: &[String], commands: &[&str]) {
     let whole: Vec<(PathBuf, Vec<u8>)> =
         names.iter().map(|name| (folder.join(name), fs::read(folder.join(name)).unwrap())).collect();
     let which = Cell::new(0);
@@ -271,7 +271,7 @@ fn damaged(name: &str, folder: &Path, names: &[String], commands: &[&str]) {
 }
 
 /// The files of a folder in `dir`, relative to `dir`, in order.
-fn names_in(dir: &Path, folder: &str) -> Vec<String> {
+pub(super) fn names_in(dir: &Path, folder: &str) -> Vec<String> {
     let files = fs::read_dir(dir.join(folder)).unwrap();
     let mut names: Vec<String> =
         files.map(|file| format!("{folder}/{}", file.unwrap().file_name().to_string_lossy())).collect();
@@ -288,7 +288,7 @@ fn fuzzed_runs_are_read_or_refused() {
         "run",
         dir.path(),
         &names,
-        &["analyze run", "report run -o report.html --no-replays", "resume run", "replay run 3"],
+        &["analyze run", "report run --out page.html --no-replay", "resume run", "replay run 3"],
     );
 }
 

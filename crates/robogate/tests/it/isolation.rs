@@ -291,6 +291,123 @@ open(os.path.join(here, "data/log.txt")).read()
     bench.expect("state", &format!("replay run 3 --python {python}"), 0, &["identical to the recorded episode"]);
 }
 
+/// A user opens folders elsewhere to the sandbox, for a dataset or a cache.
+#[test]
+fn named_folders_are_open() {
+    let Some(bench) = Bench::new() else { return };
+    for folder in ["data", "cached"] {
+        fs::create_dir(bench.at(folder)).unwrap();
+        fs::write(bench.at(folder).join("x.txt"), "1\n").unwrap();
+    }
+    let (data, cached) = (bench.at("data"), bench.at("cached"));
+    let uses = format!(
+        "open({:?}).read()\nopen({:?}, \"w\").write(\"2\")\n",
+        data.join("x.txt").display().to_string(),
+        cached.join("x.txt").display().to_string()
+    );
+    fs::write(bench.at("world/line.py"), uses + ENVIRONMENT).unwrap();
+    let line = format!(
+        "run --env world/line.py:environment --python {} -n 1 --design uniform --nominal-episodes 0 --out",
+        bench.python.display()
+    );
+    let refused = |path: &Path, how: &str| format!("refused to {how} {}", path.join("x.txt").display());
+    let (read, write) = (refused(&data, "read"), refused(&cached, "write"));
+    let hint = "Hint: --sandbox-read FOLDER opens a folder";
+    bench.expect("state", &format!("{line} none --sandbox"), 5, &[&read, hint, "--sandbox-write FOLDER"]);
+    // Opened to read only, no file can be changed.
+    let reads = format!("{line} reads --sandbox-read {},{}", data.display(), cached.display());
+    let printed = bench.expect("state", &reads, 5, &["in the sandbox", &write, hint]);
+    assert!(!printed.contains(&read), "{printed}");
+    assert_eq!(fs::read_to_string(cached.join("x.txt")).unwrap(), "1\n");
+    let both = format!("{line} both --sandbox-read data --sandbox-write cached");
+    let printed = bench.expect("state", &both, 0, &["in the sandbox"]);
+    assert!(!printed.contains("refused"), "{printed}");
+    assert_eq!(fs::read_to_string(cached.join("x.txt")).unwrap(), "2");
+    // Neither the user's keys, nor a folder that is missing, nor a sandbox that is off.
+    bench.expect("state", &format!("{line} x --sandbox-read state"), 2, &["contains your home folder or your keys"]);
+    bench.expect("state", &format!("{line} x --sandbox-write ."), 2, &["contains your home folder or your keys"]);
+    bench.expect(
+        "state",
+        &format!("{line} x --sandbox-read none"),
+        2,
+        &["--sandbox-read none: cannot be opened", "Hint:"],
+    );
+    bench.expect(
+        "state",
+        &format!("{line} x --sandbox=off --sandbox-read data"),
+        2,
+        &["cannot be used with --sandbox=off"],
+    );
+}
+
+/// Files that a C library opens are part of an environment too, also where a link in its folder leads elsewhere.
+#[test]
+fn files_opened_in_c_are_part_of_an_environment() {
+    let Some(bench) = Bench::new() else { return };
+    let opens = r#"
+import ctypes, os, mujoco
+here = os.path.dirname(os.path.abspath(__file__))
+def read(name):
+    library = ctypes.CDLL(None)
+    file = library.open(os.path.join(here, name).encode(), os.O_RDONLY)
+    assert file >= 0 and library.read(file, ctypes.create_string_buffer(64), 64) > 0
+    library.close(file)
+for name in ["scene/grasps.h5", "shared/table.bin", "one.bin"]:
+    read(name)
+mujoco.MjModel.from_xml_path(os.path.join(here, "scene/world.xml"))
+library = ctypes.CDLL(None)
+log = library.open(os.path.join(here, "scene/log.bin").encode(), os.O_RDWR | os.O_CREAT, 0o600)
+library.write(log, b"started", 7)
+"#;
+    for folder in ["world/scene", "elsewhere/shared", "elsewhere/single"] {
+        fs::create_dir(bench.at(folder)).unwrap();
+    }
+    fs::write(bench.at("world/line.py"), opens.to_owned() + ENVIRONMENT).unwrap();
+    for (name, content) in [
+        ("world/scene/grasps.h5", "grasps"),
+        ("world/scene/unused.h5", "unused"),
+        ("elsewhere/shared/table.bin", "table"),
+        ("elsewhere/single/one.bin", "one"),
+        ("elsewhere/single/unused.bin", "unused"),
+        ("world/scene/tetra.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"),
+    ] {
+        fs::write(bench.at(name), content).unwrap();
+    }
+    let mesh = "<mujoco><asset><mesh name=\"t\" file=\"tetra.obj\"/></asset>\
+                <worldbody><geom type=\"mesh\" mesh=\"t\"/></worldbody></mujoco>";
+    fs::write(bench.at("world/scene/world.xml"), mesh).unwrap();
+    std::os::unix::fs::symlink(bench.at("elsewhere/shared"), bench.at("world/shared")).unwrap();
+    std::os::unix::fs::symlink(bench.at("elsewhere/single/one.bin"), bench.at("world/one.bin")).unwrap();
+    let python = bench.python.display().to_string();
+    let run = format!("run --env world/line.py:environment --python {python} -n 8 --seed 3 --threads 2 --out run");
+    bench.expect("state", &run, 0, &[]);
+    let plan: serde_json::Value = serde_json::from_slice(&fs::read(bench.at("run/plan.json")).unwrap()).unwrap();
+    let files = plan["provenance"]["world"]["place"]["files"].as_object().unwrap();
+    let used = ["line.py", "one.bin", "scene/grasps.h5", "scene/tetra.obj", "scene/world.xml", "shared/table.bin"];
+    assert_eq!(files.keys().collect::<Vec<_>>(), used);
+    assert_eq!(fs::read_to_string(bench.at("run/environment/shared/table.bin")).unwrap(), "table");
+    bench.expect("state", "evidence run proof --requirements default", 1, &[]);
+    let replay = format!("replay run 3 --env world/line.py:environment --python {python}");
+    let verify = format!("verify proof --rerun 2 --env world/line.py:environment --python {python} --sandbox=off");
+    for name in ["one.bin", "scene/grasps.h5", "scene/tetra.obj", "shared/table.bin"] {
+        let file = bench.at("world").join(name);
+        let before = fs::read_to_string(&file).unwrap();
+        fs::write(&file, before.clone() + "\n").unwrap();
+        let reason = format!("the environment's file {name} has changed since the run");
+        bench.expect("state", &format!("resume run --python {python}"), 2, &[&reason]);
+        bench.expect("elsewhere", &replay, 2, &[&reason]);
+        bench.expect("elsewhere", &verify, 2, &[&reason]);
+        fs::write(&file, before).unwrap();
+    }
+    fs::write(bench.at("world/scene/unused.h5"), "other").unwrap();
+    bench.expect("elsewhere", &replay, 0, &["identical to the recorded episode"]);
+    bench.expect("elsewhere", &verify, 0, &["rerun: 2 of 8 rows"]);
+    // In the sandbox too, where the environment cannot write its log.
+    let open = format!("--sandbox-read {0}/shared,{0}/single", bench.at("elsewhere").display());
+    let printed = bench.expect("elsewhere", &verify.replace("--sandbox=off", &open), 0, &["rerun: 2 of 8 rows"]);
+    assert!(printed.contains("in the sandbox"), "{printed}");
+}
+
 /// A killed process leaves files under temporary names. The next command that works in the folder removes
 /// them.
 #[test]

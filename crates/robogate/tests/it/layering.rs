@@ -15,7 +15,7 @@ const MAY_USE: &[(&str, Option<&[&str]>)] = &[
     ("robogate-zmtp", Some(&[])),
     ("robogate-policy", Some(&["robogate-core", "robogate-zmtp"])),
     ("robogate-remote", Some(&["robogate-core", "robogate-zmtp"])),
-    ("robogate-demos", Some(&["robogate-core", "robogate-physics", "robogate-tasks"])),
+    ("robogate-demos", Some(&["robogate-core", "robogate-dictionary", "robogate-physics", "robogate-tasks"])),
     ("robogate-dictionary", Some(&["robogate-core"])),
     ("robogate-stats", Some(&["robogate-maths"])),
     ("robogate-risk", Some(&["robogate-core", "robogate-stats"])),

@@ -30,6 +30,7 @@ mod dependencies;
 mod environments;
 mod fleet;
 mod fuzz;
+mod fuzz_records;
 mod gate;
 mod generated;
 mod harness;

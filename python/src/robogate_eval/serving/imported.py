@@ -23,7 +23,8 @@ def imported(opened: Opened | None = None) -> dict:
     """The imported `files` outside of the standard library and of installed packages, with those that were `opened`, and the `packages`.
 
     A file has the `name` of its module as a path (`helpers.py`, `cell/__init__.py`), or its path in the folder of the environment
-    (`meshes/link.stl`), which is the same on every machine, its `path`, and its `sha256`. A package has name and version.
+    (`meshes/link.stl`), which is the same on every machine, its `path`, and its `sha256`. A package has name and version. Files that were
+    opened by other libraries than Python are `only_watched`, and the list is `complete` where the kernel reports them.
     """
     installed = _folders(
         site.getsitepackages() if hasattr(site, "getsitepackages") else [],
@@ -46,8 +47,9 @@ def imported(opened: Opened | None = None) -> dict:
     known = {file["path"] for file in files}
     for path in opened.files() if opened else []:
         if path not in known and not _is_below(Path(path), (*installed, *skipped)):
-            files.append({"name": opened.name(path), "path": path, "sha256": _digest(path)})
-    return {"files": files, "packages": _packages(tops)}
+            file = {"name": opened.name(path), "path": path, "sha256": _digest(path)}
+            files.append(file | ({"only_watched": True} if path in opened.only_watched else {}))
+    return {"files": files, "packages": _packages(tops), "complete": opened is None or opened.complete}
 
 
 def _digest(path: str | Path) -> str:

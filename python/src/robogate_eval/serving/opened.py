@@ -16,6 +16,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from .watch import Watch
+
 # Most files that are recorded. Weights and meshes of an environment are far fewer.
 MOST = 10_000
 # Attributes of MJCF with the name of a file, and with a folder for such names.
@@ -29,14 +31,27 @@ class Opened:
 
     def __init__(self, folder: Path):
         self.folder = os.path.realpath(folder)
+        self._as_named = os.path.abspath(folder)
         self._read: set[str] = set()
         self._written: set[str] = set()
+        self._watch = Watch(self.folder)
+        # Files that only the kernel has seen, because Python did not open them.
+        self.only_watched: set[str] = set()
         sys.addaudithook(self._hook)
         sys.meta_path.insert(0, _AfterImport("mujoco", self._watch_mujoco))
 
     def files(self) -> list[str]:
-        """The paths of the files that were read and not written. A file that the environment writes is not part of it."""
-        return sorted(path for path in self._read - self._written if os.path.isfile(path))
+        """The paths of the files that were read and not written. A file that the environment writes is not part of it. Ends the watch."""
+        opened, written = self._watch.end()
+        opened = {path for path in opened if not path.endswith(".pyc")}
+        self.only_watched |= opened - self._read
+        found = (self._read | opened) - self._written - written
+        return sorted(path for path in found if os.path.isfile(path))[:MOST]
+
+    @property
+    def complete(self) -> bool:
+        """Whether files that other libraries opened are among them."""
+        return self._watch.complete
 
     def name(self, path: str) -> str:
         """The path relative to the folder."""
@@ -47,13 +62,20 @@ class Opened:
             self._note(os.fsdecode(arguments[0]), bool(arguments[2] & WRITES))
 
     def _note(self, path: str, writes: bool) -> None:
-        # Most files are elsewhere: links are resolved only for those that may be here.
-        full = os.path.realpath(path)
-        if full.startswith(self.folder + os.sep) and not full.endswith(".pyc") and len(self._read) < MOST:
+        full = self._inside(path)
+        if full is not None and not full.endswith(".pyc") and len(self._read) < MOST:
             (self._written if writes else self._read).add(full)
 
+    def _inside(self, path: str) -> str | None:
+        """The path in the folder. None for a file elsewhere. A link in the folder may name a file elsewhere: it is part of the folder."""
+        for full in (os.path.abspath(path), os.path.realpath(path)):
+            for folder in (self.folder, self._as_named):
+                if full.startswith(folder + os.sep):
+                    return self.folder + full[len(folder) :]
+        return None
+
     def _watch_mujoco(self, mujoco: ModuleType) -> None:
-        """MuJoCo opens files in C++, which Python does not see."""
+        """MuJoCo opens files in C++, which Python does not see, and the kernel may not report."""
         for owner, name in ((mujoco.MjModel, "from_xml_path"), (mujoco.MjSpec, "from_file")):
             setattr(owner, name, staticmethod(self._noting(getattr(owner, name))))
 

@@ -13,7 +13,7 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
-# What the process may do, as JSON: the files and folders that it may `read`, and the folder that it may `write`.
+# What the process may do, as JSON: the files and folders that it may `read`, and those that it may also `write`.
 RIGHTS = "ROBOGATE_SANDBOX"
 # The descriptor of the socket on which the process listens.
 LISTENER = "ROBOGATE_LISTENER"
@@ -35,8 +35,8 @@ def watch() -> None:
 
 
 def _hook(rights: dict) -> Callable[[str, tuple], None]:
-    readable = (*rights["read"], rights["write"])
-    own = rights["write"]
+    writable = tuple(rights["write"])
+    readable = (*rights["read"], *writable)
     busy = threading.local()
 
     def below(path: str, folders: tuple[str, ...]) -> bool:
@@ -49,7 +49,7 @@ def _hook(rights: dict) -> Callable[[str, tuple], None]:
 
     def write(path: Any, *_: Any) -> str | None:
         full = _full(path)
-        return f"write {full}" if full and not below(full, (own, "/dev/null")) else None
+        return f"write {full}" if full and not below(full, (*writable, "/dev/null")) else None
 
     def opened(path: Any, mode: str | None, flags: int) -> str | None:
         writes = flags & (os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND)

@@ -1,10 +1,9 @@
 //! Writes and prints the result of a fleet.
 
-use std::fs;
 use std::path::Path;
 
 use anyhow::Context;
-use robogate_dictionary::TaskIdentity;
+use robogate_dictionary::{TaskIdentity, files};
 use robogate_gate::{Fleet, FleetSubject, FleetUnit, Verdict};
 use robogate_report::{fleet_drivers, fleet_headline, fleet_html, fleet_markdown, fleet_share};
 
@@ -33,7 +32,7 @@ pub(super) fn write(dir: &Path, plan: &FleetPlan, units: Vec<FleetUnit>, json: b
     let texts = [fleet.to_json(), fleet_markdown(&fleet), fleet_html(&fleet)];
     for (name, text) in FILES.iter().zip(&texts) {
         let path = dir.join(name);
-        fs::write(&path, text).with_context(|| format!("cannot write {}", path.display())).or_broken()?;
+        files::write(&path, text).with_context(|| format!("cannot write {}", path.display())).or_broken()?;
     }
     if json {
         line(texts[0].trim_end());

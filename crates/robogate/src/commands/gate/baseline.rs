@@ -4,6 +4,7 @@ use std::path::Path;
 
 use anyhow::Context;
 use robogate_analysis::Source;
+use robogate_dictionary::files;
 use robogate_gate::{Baseline, Metric};
 use robogate_session::record_of;
 use robogate_stats::format::number;
@@ -15,7 +16,7 @@ use crate::terminal::{grouped, note, percent};
 pub(super) fn write(source: &Source, file: &Path) -> Result<(), Exit> {
     let record = record_of(source).or_broken()?;
     let baseline = Baseline::of(&record).map_err(|error| Exit { code: INVALID, error: error.into() })?;
-    std::fs::write(file, baseline.to_json())
+    files::write(file, baseline.to_json())
         .with_context(|| format!("cannot write {}", file.display()))
         .or_unwritable()?;
     note(format_args!(

@@ -1,10 +1,10 @@
 //! `robogate gate --run`: judges a finished run.
 
-use std::fs;
 use std::path::Path;
 
 use anyhow::Context;
 use robogate_analysis::{AnalysisOptions, Source};
+use robogate_dictionary::files;
 use robogate_gate::{Asked, Evaluation, Question, RealEvidence, Requirements, Sampling, Verdict};
 use robogate_stats::format::counted;
 
@@ -66,7 +66,7 @@ impl Gate {
         evaluation.twins = twins;
         evaluation.nominal = source.folder().map_or(Ok(None), nominal_rate_of)?;
         if let Some(out) = &self.out {
-            fs::create_dir_all(out).with_context(|| format!("cannot create {}", out.display())).or_broken()?;
+            files::create_folders(out).with_context(|| format!("cannot create {}", out.display())).or_broken()?;
             answer_files(out, &evaluation, None)?;
         }
         let code = show(run, self.out.as_deref(), &evaluation, source.dictionary().provenance(), self.how.json)?;

@@ -1,13 +1,12 @@
 //! A gate that runs episodes: prepares the question, and runs the suite until the verdict is certain.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::Context;
 use robogate_campaign::{Completion, DEFAULT_SEED, Plan, Settings};
 use robogate_core::Suite;
-use robogate_dictionary::{Label, Provenance};
+use robogate_dictionary::{Label, Provenance, files};
 use robogate_gate::{Asked, AskedAgainst, GatePlan, PairPlan, Planned, Question, Record, Requirements, Sampling};
 use robogate_stats::format::counted;
 
@@ -256,7 +255,7 @@ impl Gate {
         // The store of a campaign in shards has no place for an answer without one.
         let local = Some(dir).filter(|dir| !place::is_remote(dir));
         if let Some(dir) = local {
-            fs::create_dir_all(dir).with_context(|| format!("cannot create {}", dir.display())).or_broken()?;
+            files::create_folders(dir).with_context(|| format!("cannot create {}", dir.display())).or_broken()?;
             answer_files(dir, &evaluation, None)?;
         }
         show(dir, local, &evaluation, &prepared.planned, self.how.json)
@@ -307,8 +306,8 @@ impl Gate {
         let arms = Arms::of(&dir, &plan, &provenance.space, &subject)?;
         let mut rounds = Rounds::new(&dir, asked, rival, other.record.map(|(_, record)| record), record);
         let completion = self.how.carry(&dir, &subject, |executor, events| {
-            let begun = || registration.iter().for_each(|registration| registration.write(&dir));
-            rounds.run(&plan, provenance, arms, executor, &begun, events)
+            let documents: Vec<_> = registration.iter().flat_map(Registered::files).collect();
+            rounds.run(&plan, provenance, arms, executor, &documents, events)
         })?;
         if let Completion::Finished { .. } = &completion {
             subject.write_fingerprint(&dir);

@@ -6,7 +6,7 @@ use std::path::Path;
 use anyhow::Context;
 use robogate_analysis::Source;
 use robogate_campaign::Completion;
-use robogate_dictionary::Provenance;
+use robogate_dictionary::{Provenance, files};
 use robogate_gate::{Asked, Evaluation, Record, Verdict};
 use robogate_report::{Watch, evaluation_markdown_with, junit};
 use robogate_stats::format::counted;
@@ -14,6 +14,7 @@ use robogate_stats::format::counted;
 use crate::answer;
 use crate::benchmark;
 use crate::changes;
+use crate::commands::report::PAGE;
 use crate::commands::run::{interrupted, write_report};
 use crate::exit::{Exit, OrExit};
 use crate::terminal::{line, note};
@@ -41,6 +42,11 @@ pub(crate) fn finish(
         return Ok(interrupted(dir, done, episodes));
     }
     let frames = Frames { folder: dir.join(FRAMES), link: FRAMES.to_owned() };
+    let answered = ANSWER.iter().all(|name| dir.join(name).exists());
+    if !answered {
+        // Its episodes worth watching are also part of the answer. An error shows when the page is written.
+        let _ = fs::remove_file(dir.join(PAGE));
+    }
     let (analysis, watch) = write_report(dir, Some(&frames), subject).unzip();
     // The evaluation uses the rows on disk, and not those that were seen during the run.
     let source = Source::open(dir).or_broken()?;
@@ -52,7 +58,11 @@ pub(crate) fn finish(
         twins::write(dir, twins)?;
     }
     let watch = watch.flatten();
-    answer_files(dir, &evaluation, watch.as_ref())?;
+    // An answer that is there lists the episodes of the page that is there.
+    let same = || fs::read_to_string(dir.join(ANSWER[0])).is_ok_and(|there| there == evaluation.to_json());
+    if !answered || watch.is_some() || !same() {
+        answer_files(dir, &evaluation, watch.as_ref())?;
+    }
     let code = show(dir, Some(dir), &evaluation, source.dictionary().provenance(), json)?;
     if let Some(analysis) = analysis.filter(|_| !json) {
         let watch = watch.as_ref().filter(|watch| !watch.items.is_empty());
@@ -66,7 +76,7 @@ pub(crate) fn answer_files(dir: &Path, evaluation: &Evaluation, watch: Option<&W
     let texts = [evaluation.to_json(), evaluation_markdown_with(evaluation, watch), junit(evaluation)];
     for (name, text) in ANSWER.iter().zip(texts) {
         let path = dir.join(name);
-        let written = fs::write(&path, text).with_context(|| format!("cannot write {}", path.display()));
+        let written = files::write(&path, text).with_context(|| format!("cannot write {}", path.display()));
         robogate_session::OrFailure::or_broken(written)?;
     }
     Ok(())

@@ -7,6 +7,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context, anyhow};
 use robogate_core::TaskSpec;
+use robogate_dictionary::files;
 use robogate_remote::message::Hello;
 use robogate_session::PolicyChoice;
 use robogate_session::init::{Wanted, requirements};
@@ -170,11 +171,11 @@ impl Drafts {
             }
             let folder = path.parent().filter(|parent| !parent.as_os_str().is_empty());
             folder
-                .map(std::fs::create_dir_all)
+                .map(files::create_folders)
                 .transpose()
                 .with_context(|| format!("cannot write {name}"))
                 .or_broken()?;
-            std::fs::write(path, text).with_context(|| format!("cannot write {name}")).or_unwritable()?;
+            files::write(path, text).with_context(|| format!("cannot write {name}")).or_unwritable()?;
         }
         let names: Vec<&str> = self.files.iter().map(|(name, _)| *name).collect();
         line(format_args!("wrote     {}", names.join(", ")));
@@ -191,5 +192,5 @@ pub(super) fn set_payload(file: &Path, payload_kg: Option<f64>) -> Result<(), Ex
         false => format!("{line}\n"),
     };
     let text: String = text.or_usage()?.lines().map(set).collect();
-    std::fs::write(file, text).with_context(|| format!("cannot write {}", file.display())).or_unwritable()
+    files::write(file, text).with_context(|| format!("cannot write {}", file.display())).or_unwritable()
 }

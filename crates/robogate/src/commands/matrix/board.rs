@@ -1,11 +1,11 @@
 //! The leaderboard of a sweep.
 
-use std::fs;
 use std::path::Path;
 
 use anyhow::{Context, anyhow};
 use robogate_campaign::Event;
 use robogate_campaign::folder::SUMMARY;
+use robogate_dictionary::files;
 use robogate_gate::{Baseline, Leaderboard, Metric, Record, Requirements, Sampling, ScoreTerm, Scoring};
 use robogate_report::{leaderboard_text, leaderboards_html, leaderboards_markdown};
 use serde_json::{Value, json};
@@ -54,7 +54,7 @@ pub(super) fn write(dir: &Path, plan: &SweepPlan, failed: &[String], as_json: bo
         PAGES.iter().zip([leaderboards_html(&plan.name, &boards), leaderboards_markdown(&plan.name, &boards)])
     {
         let path = dir.join(name);
-        fs::write(&path, text).with_context(|| format!("cannot write {}", path.display())).or_broken()?;
+        files::write(&path, text).with_context(|| format!("cannot write {}", path.display())).or_broken()?;
     }
     if as_json {
         let boards: Vec<Value> = boards.iter().filter_map(|board| serde_json::to_value(board).ok()).collect();

@@ -16,9 +16,8 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
 use clap::Args;
-use robogate_campaign::folder::{partial, write_atomically};
 use robogate_core::budget::Budget;
-use robogate_dictionary::read_text;
+use robogate_dictionary::{files, read_text};
 
 use crate::commands::run::free_folder;
 use crate::exit::{Exit, OrExit};
@@ -108,7 +107,7 @@ fn begin(dir: &Path, plan: &SweepPlan) -> Result<(), Exit> {
         .or_usage(),
         None => {
             // A process that was killed while it wrote the plan has left it under this name.
-            let own = partial(PLAN);
+            let own = files::partial(PLAN);
             let entries = fs::read_dir(dir).into_iter().flatten().filter_map(Result::ok);
             if let Some(name) = entries.map(|entry| entry.file_name()).find(|name| *name != *own) {
                 return Err(anyhow!(
@@ -119,8 +118,8 @@ fn begin(dir: &Path, plan: &SweepPlan) -> Result<(), Exit> {
                 .or_usage();
             }
             let text = serde_json::to_string_pretty(plan).or_broken()? + "\n";
-            fs::create_dir_all(dir).with_context(|| format!("cannot create {}", dir.display())).or_broken()?;
-            write_atomically(dir, PLAN, text.as_bytes())
+            files::create_folders(dir).with_context(|| format!("cannot create {}", dir.display())).or_broken()?;
+            files::write(dir.join(PLAN), text)
                 .with_context(|| format!("cannot write {}", dir.join(PLAN).display()))
                 .or_broken()
         }

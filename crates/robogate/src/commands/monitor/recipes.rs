@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
 use clap::{Args, Subcommand};
-use robogate_monitor::service::{Store, StoreSettings};
+use robogate_monitor::service::{Store, StoreError, StoreSettings};
 use robogate_stats::format::counted;
 use serde_json::json;
 
@@ -72,12 +72,17 @@ fn open(path: &Path) -> Result<Store, Exit> {
     if !path.is_file() {
         return Err(anyhow!("{}: no such store\nHint: name the file of --store", path.display())).or_usage();
     }
-    Store::open(path, StoreSettings::default()).with_context(|| path.display().to_string()).or_broken()
+    at(path, Store::open(path, StoreSettings::default()))
+}
+
+/// A result of a store, whose error names the file.
+fn at<T>(path: &Path, result: Result<T, StoreError>) -> Result<T, Exit> {
+    result.with_context(|| path.display().to_string()).or_broken()
 }
 
 /// Rejects names that the store does not have.
-fn check(store: &Store, names: &[&str]) -> Result<(), Exit> {
-    let known = store.recipe_counts().or_broken()?;
+fn check(path: &Path, store: &Store, names: &[&str]) -> Result<(), Exit> {
+    let known = at(path, store.recipe_counts())?;
     match names.iter().find(|name| known.iter().all(|(known, _)| known != **name)) {
         Some(name) => {
             let hint = "list the recipes: robogate monitor recipes list STORE";
@@ -88,7 +93,7 @@ fn check(store: &Store, names: &[&str]) -> Result<(), Exit> {
 }
 
 fn list(store: &Path, as_json: bool) -> Result<u8, Exit> {
-    let all = open(store)?.recipe_counts().or_broken()?;
+    let all = at(store, open(store)?.recipe_counts())?;
     if as_json {
         let recipes: Vec<_> = all.iter().map(|(name, cycles)| json!({ "recipe": name, "cycles": cycles })).collect();
         line(json!({ "version": 1, "recipes": recipes }));
@@ -99,23 +104,23 @@ fn list(store: &Path, as_json: bool) -> Result<u8, Exit> {
     Ok(DONE)
 }
 
-fn remove(store: &Path, names: &[String]) -> Result<u8, Exit> {
-    let store = open(store)?;
-    check(&store, &names.iter().map(String::as_str).collect::<Vec<_>>())?;
+fn remove(path: &Path, names: &[String]) -> Result<u8, Exit> {
+    let store = open(path)?;
+    check(path, &store, &names.iter().map(String::as_str).collect::<Vec<_>>())?;
     for name in names {
-        let cycles = store.remove_recipe(name).or_broken()?;
+        let cycles = at(path, store.remove_recipe(name))?;
         note(format_args!("removed {} with {}", foreign(name), counted(cycles, "cycle")));
     }
     Ok(DONE)
 }
 
-fn merge(store: &Path, from: &str, into: &str) -> Result<u8, Exit> {
+fn merge(path: &Path, from: &str, into: &str) -> Result<u8, Exit> {
     if from == into {
         return Err(anyhow!("{}: a recipe cannot be merged with itself", foreign(from))).or_usage();
     }
-    let store = open(store)?;
-    check(&store, &[from, into])?;
-    let cycles = store.merge_recipe(from, into).or_broken()?;
+    let store = open(path)?;
+    check(path, &store, &[from, into])?;
+    let cycles = at(path, store.merge_recipe(from, into))?;
     let (from, into) = (foreign(from), foreign(into));
     note(format_args!(
         "moved {} of {from} to {into}, whose state the next start computes again",

@@ -8,7 +8,7 @@ use clap::Args;
 use robogate_analysis::{Analysis, AnalysisOptions, Finding, Population, RiskModel, Source};
 use robogate_core::{Domain, Parameter};
 use robogate_dictionary::results::only_identifies;
-use robogate_dictionary::{Column, Dictionary, DictionaryError};
+use robogate_dictionary::{Column, Dictionary, DictionaryError, files};
 use robogate_gate::{Asked, Metric, RealEvidence, Requirements};
 use robogate_monitor::domain::{self, Predictor, PredictorColumn, Risk, RiskTerm, Validated};
 use robogate_monitor::{Baseline, Count, ModeCounts, Reference};
@@ -89,7 +89,7 @@ impl ReferenceOf {
             line(text);
             return Ok(DONE);
         }
-        std::fs::write(&self.out, text + "\n")
+        files::write(&self.out, text + "\n")
             .with_context(|| format!("cannot write {}", self.out.display()))
             .or_broken()?;
         self.report(&analysis, &reference);

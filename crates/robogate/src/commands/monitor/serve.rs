@@ -188,7 +188,8 @@ impl Serve {
             let _ = thread.join();
         }
         outputs.into_iter().for_each(Output::end);
-        engine.close().map_err(|because| anyhow!(because)).or_broken()?;
+        let store = self.store.as_deref().unwrap_or(Path::new("the store")).display();
+        engine.close().map_err(|because| anyhow!("{store}: {because}")).or_broken()?;
         match broken {
             Some(error) if matches!(error.downcast_ref(), Some(HttpError::NoToken(_) | HttpError::ShortToken(_))) => {
                 Err(error).or_usage()

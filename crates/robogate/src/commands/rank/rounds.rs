@@ -3,10 +3,10 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use anyhow::{anyhow, bail};
-use robogate_campaign::folder::write_atomically;
+use anyhow::{Context, anyhow, bail};
 use robogate_campaign::{Event, Plan};
 use robogate_core::Suite;
+use robogate_dictionary::files;
 use robogate_gate::{Ranking, RankingDesign, Record};
 use robogate_stats::contest::{Dropped, Elimination};
 use robogate_stats::format::percent_or_dash;
@@ -105,9 +105,12 @@ impl Rank {
             .map(|(of, invalid)| (of.name.clone(), of.folder.display().to_string(), invalid))
             .collect();
         let ranking = Ranking::of_rounds(scenarios, design, (self.guarantee(), self.error), &policies, &elimination);
-        write_atomically(dir, ANSWER, ranking.to_json().as_bytes()).or_broken()?;
+        let answer = dir.join(ANSWER);
+        files::write(&answer, ranking.to_json())
+            .with_context(|| format!("cannot write {}", answer.display()))
+            .or_broken()?;
         let code = show(&ranking, self.how.json)?;
-        note(format_args!("files: {}", dir.join(ANSWER).display()));
+        note(format_args!("files: {}", answer.display()));
         Ok(code)
     }
 

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use anyhow::{Context, anyhow};
 use clap::Args;
 use robogate_core::Word;
+use robogate_dictionary::files;
 use robogate_gate::evidence::{Envelope, PrivateKey};
 use robogate_session::{named_space, open_source};
 use robogate_stats::format::{counted, number, percent, significant};
@@ -89,7 +90,7 @@ impl PlanOf {
         if let Some(key) = key {
             let signed = Envelope::sign(PAYLOAD_TYPE, plan.to_json().as_bytes(), &key).to_json();
             let path = self.study.join(SIGNED);
-            std::fs::write(&path, signed).with_context(|| format!("cannot write {}", path.display())).or_broken()?;
+            files::write(&path, signed).with_context(|| format!("cannot write {}", path.display())).or_broken()?;
             note(format_args!("signed with key {}", key.public().id()));
         }
         print(&plan);

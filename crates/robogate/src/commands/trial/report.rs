@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use anyhow::{Context, anyhow};
 use clap::Args;
 use robogate::exit_codes::INCONCLUSIVE;
+use robogate_dictionary::files;
 use robogate_trial::{Folder, answer, csv_of, mapping, provenance, report};
 
 use super::{StudyArgument, exit};
@@ -55,7 +56,7 @@ impl Report {
         }
         let answer = answer(&study);
         let out = self.out.as_ref().unwrap_or(folder);
-        std::fs::create_dir_all(out).with_context(|| format!("cannot write {}", out.display())).or_broken()?;
+        files::create_folders(out).with_context(|| format!("cannot write {}", out.display())).or_broken()?;
         let csv = csv_of(&study, None);
         let mut files = vec![
             ("report.html".to_owned(), report(&study, &answer)),
@@ -70,7 +71,7 @@ impl Report {
         }
         for (name, content) in files {
             let path = out.join(name);
-            std::fs::write(&path, content).with_context(|| format!("cannot write {}", path.display())).or_broken()?;
+            files::write(&path, content).with_context(|| format!("cannot write {}", path.display())).or_broken()?;
             note(format_args!("written: {}", path.display()));
         }
         if self.json {

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use robogate_analysis::{ExplorerTable, Source};
 use robogate_campaign::folder::{DICTIONARY, LAYOUT, PLAN};
 use robogate_campaign::shards::Shards;
-use robogate_campaign::{Follower, Progress, settings};
+use robogate_campaign::{Follower, Progress, RunError, settings};
 use robogate_dictionary::{Entry, Provenance};
 use serde_json::{Value, json};
 
@@ -221,6 +221,7 @@ fn open(path: &Path) -> Result<(Feed, Provenance, Option<u64>), Exit> {
     if path.join(PLAN).is_file() {
         // A finished run whose plan has an older format still has its dictionary.
         match settings(path) {
+            Err(error @ RunError::Io { .. }) => return Err(error).or_broken(),
             Err(_) if path.join(DICTIONARY).is_file() => {}
             _ => return Ok(campaign(Follower::open(path).or_usage()?)),
         }

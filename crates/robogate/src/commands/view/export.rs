@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use anyhow::Context;
 use robogate_analysis::{ExplorerTable, Role};
+use robogate_dictionary::files;
 use robogate_replay::{Clip, packed_floats, reel};
 use robogate_report::explorer_page;
 use serde_json::{Value, json};
@@ -68,7 +69,7 @@ pub(super) fn write(
     let data = document.to_string();
     let names: Vec<&str> = board.runs.iter().map(|run| run.name.as_str()).collect();
     let (html, _) = explorer_page(&names.join(", "), Some((&data, &reel.json)));
-    std::fs::write(file, &html).with_context(|| format!("cannot write {}", file.display())).or_broken()?;
+    files::write(file, &html).with_context(|| format!("cannot write {}", file.display())).or_broken()?;
     note(format_args!(
         "{}: {} KB, {} rows, {} recorded episodes",
         file.display(),

@@ -10,7 +10,7 @@ use std::path::Path;
 
 use anyhow::Context;
 use clap::{Args, Subcommand};
-use robogate_dictionary::read_text;
+use robogate_dictionary::{files, read_text};
 use robogate_monitor::warn::WarnFile;
 
 use crate::exit::{Exit, OrExit};
@@ -56,5 +56,5 @@ fn read(path: &Path) -> Result<WarnFile, Exit> {
 fn write(path: &Path, file: &WarnFile) -> Result<(), Exit> {
     let mut text = serde_json::to_string(file).or_broken()?;
     text.push('\n');
-    std::fs::write(path, text).with_context(|| format!("cannot write {}", path.display())).or_unwritable()
+    files::write(path, text).with_context(|| format!("cannot write {}", path.display())).or_unwritable()
 }

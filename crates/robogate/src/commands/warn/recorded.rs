@@ -117,6 +117,16 @@ impl RunArguments {
             ))
             .or_usage();
         }
+        let valid = |entry: &&Entry| !matches!(entry.episode.outcome, robogate_core::Outcome::Invalid(_));
+        let missing = entries.values().filter(valid).count().saturating_sub(tracks.len());
+        if missing > 0 {
+            note(format_args!(
+                "note: {} of {} valid episodes have no signals and are left out. To record them again, remove {}",
+                count(missing as u64),
+                count(entries.values().filter(valid).count() as u64),
+                self.run.join(SIGNALS).display()
+            ));
+        }
         let conditions = conditions(provenance);
         Ok((Recorded { conditions, signals: header.signals, parameters, tracks }, known))
     }
