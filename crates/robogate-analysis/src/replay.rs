@@ -171,7 +171,8 @@ pub fn same_subject(provenance: &Provenance) -> String {
     }
     match &world.policy {
         None => {}
-        Some(PolicyRecord::BuiltIn { name } | PolicyRecord::Hosted { name, .. }) => add("policy", name),
+        Some(PolicyRecord::BuiltIn { name }) => add("policy", name),
+        Some(PolicyRecord::Hosted { name, from, .. }) => add("policy", from.as_deref().unwrap_or(name)),
         Some(PolicyRecord::External(policy)) => add("policy", &policy.server),
     }
     options

@@ -29,7 +29,7 @@ fn browser_shows_the_page() {
         "part-0",
         "failure rate",
         "critical",
-        "cycles failed (",
+        "cycles failed; the baseline is",
         "4 robots: their success rates differ",
         "Since cycle",
         "&lt;img src=x",
