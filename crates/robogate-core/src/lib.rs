@@ -55,8 +55,8 @@ pub use outside_range::{OUTSIDE_RANGE, OutsideNumber, OutsideRange, outside_any_
 pub use pose::Pose;
 pub use rollout::{
     BatchEnvironment, BatchPolicy, Ending, Environment, GAVE_UP, Policy, PredictedStep, Prediction, Request, Rollout,
-    SingleEnvironments, SinglePolicies, Start, Step, Tick, Workload, check_applied, rollout, rollout_all, rollout_many,
-    rollout_with,
+    SingleEnvironments, SinglePolicies, Start, Step, Tick, Workload, check_applied, is_applied, rollout, rollout_all,
+    rollout_many, rollout_with,
 };
 pub use scenario::{Assignment, Scenario, Value};
 pub use seed::{Seed, Stream};

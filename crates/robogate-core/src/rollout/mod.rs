@@ -12,7 +12,7 @@ mod singles;
 mod slots;
 mod state;
 
-pub use applied::check_applied;
+pub use applied::{check_applied, is_applied};
 pub use batch::{Workload, rollout_all, rollout_many};
 pub use environment::{Ending, Environment, Start, Step};
 pub use policy::{Policy, PredictedStep, Prediction};

@@ -1,7 +1,7 @@
 //! The parameters of a task from a file: its own ones, then those of every task.
 
 use robogate_core::{
-    Allowed, Assignment, Domain, Fault, FaultKind, Parameter, ParameterSpace, ParameterSpec, Scale, Value,
+    Allowed, Assignment, Domain, Fault, FaultKind, Parameter, ParameterSpace, ParameterSpec, Scale, Value, is_applied,
 };
 use robogate_physics::{FreeBodyRead, Gripper, Motion, Readback, Robot};
 
@@ -133,7 +133,7 @@ impl Model {
             let wrong = sets.iter().filter(|(_, of)| follows(of)).find_map(|(target, of)| {
                 let (wanted, found) =
                     (of.constant(&acting.settings.values)?, self.acting(*target, None, acting, draws));
-                (!is_close(found, wanted)).then_some(found)
+                (!is_applied(wanted, found)).then_some(found)
             });
             let found = match (self.parameter(name), wrong) {
                 (Some(index), None) => self.acting(self.parameters[index].target, Some(index), acting, draws),
@@ -218,9 +218,9 @@ impl Model {
             PartTarget::Size => edge_m(shapes.iter()).unwrap_or(f64::NAN),
             PartTarget::Spread => {
                 let moved = [off(0) - part.placed.at[0], off(1) - part.placed.at[1]];
-                crate::arm::scale(&draws.shift, &moved)
+                drawn_with(part.spread_m, &draws.shift, &moved)
             }
-            PartTarget::Spin => crate::arm::scale(&[draws.turn], &[off(YAW) - part.placed.rotation[2]]),
+            PartTarget::Spin => drawn_with(part.spin_rad, &[draws.turn], &[off(YAW) - part.placed.rotation[2]]),
             PartTarget::Damping => joint.map_or(f64::NAN, |joint| joint.damping),
             PartTarget::DryFriction => joint.map_or(f64::NAN, |joint| joint.friction),
             PartTarget::Stiffness => joint.map_or(f64::NAN, |joint| joint.stiffness),
@@ -263,6 +263,14 @@ fn coordinate(pose: Option<nalgebra::Isometry3<f64>>, wanted: &Placed, which: us
         Some(pose) => pose.translation.vector[which],
         None => f64::NAN,
     }
+}
+
+/// The factor of these draws that gives what was found: `wanted`, if poses in single precision explain the difference. A small draw
+/// would enlarge it.
+fn drawn_with(wanted: f64, draws: &[f64], found: &[f64]) -> f64 {
+    const SINGLE: f64 = 1e-6;
+    let same = draws.iter().zip(found).all(|(draw, found)| (wanted * draw - found).abs() <= SINGLE);
+    if same { wanted } else { crate::arm::scale(draws, found) }
 }
 
 /// A value that follows from several others has fewer digits than the request.
