@@ -119,7 +119,7 @@ impl Conditions {
     pub(crate) fn of(table: &EpisodeTable, base: &Sample, effects: &Effects, seek: Option<&str>) -> Self {
         let overall = Rate::of_rows(base, |_| true);
         let all = overall.rate.map_or(0.0, |rate| 1.0 - rate);
-        let condition = |parameters: Vec<ConditionPart>, adjusted_p: f64| {
+        let condition = |base: &Sample, parameters: Vec<ConditionPart>, adjusted_p: f64| {
             let holds = |row: usize| parameters.iter().all(|part| part.holds(base, row));
             let of_row: Vec<bool> = (0..base.len()).map(holds).collect();
             let inside = Rate::of_rows(base, |row| of_row[row]);
@@ -139,10 +139,11 @@ impl Conditions {
                 _ => Vec::new(),
             };
             let part = ConditionPart { parameter: effect.parameter.clone(), ranges, levels: shape.low_levels.clone() };
-            failing.push(condition(vec![part], effect.adjusted_p));
+            let comparable = base.comparable(&effect.parameter);
+            failing.push(condition(comparable.as_ref().unwrap_or(base), vec![part], effect.adjusted_p));
         }
         let corners = effects.interactions.iter().filter_map(|pair| Some((corner(base, pair)?, pair.adjusted_p)));
-        failing.extend(corners.map(|(parts, p)| condition(parts, p)));
+        failing.extend(corners.map(|(parts, p)| condition(base, parts, p)));
         failing.sort_by(|a, b| a.adjusted_p.total_cmp(&b.adjusted_p));
         failing.truncate(MOST);
         Self { failing, power: power(base, overall, effects), sought: seek.map(|mode| sought(table, base, mode)) }

@@ -311,6 +311,19 @@ impl Sample {
         }
     }
 
+    /// The rows of the strata in which a parameter has several values: elsewhere its value says which stratum a row belongs to.
+    /// `None` if all rows are comparable.
+    pub(crate) fn comparable(&self, parameter: &str) -> Option<Self> {
+        let (strata, column) = (self.strata.as_ref()?, self.parameter(parameter)?);
+        let mut first = vec![None; strata.count()];
+        let mut varies = vec![false; strata.count()];
+        for (stratum, value) in strata.of_row().iter().zip(&column.values) {
+            varies[*stratum] |= *first[*stratum].get_or_insert(value) != value;
+        }
+        let kept: Vec<bool> = strata.of_row().iter().map(|stratum| varies[*stratum]).collect();
+        Some(self.restricted(&kept))
+    }
+
     pub(crate) fn parameter(&self, name: &str) -> Option<&ParameterColumn> {
         self.parameters.iter().find(|p| p.name == name)
     }

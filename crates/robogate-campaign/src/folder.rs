@@ -72,7 +72,7 @@ impl Folder {
     /// The names of the files in the folder, without our own partial files.
     pub(crate) fn names(&self) -> Result<Vec<String>, RunError> {
         let mut names = names(&self.dir).map_err(RunError::io(&self.dir, "list"))?;
-        names.retain(|name| *name != files::partial(PLAN));
+        names.retain(|name| !files::is_partial(name, PLAN));
         Ok(names)
     }
 

@@ -1,13 +1,20 @@
 //! Files and folders that survive a power failure: complete or absent.
 
 use std::ffi::OsString;
-use std::fs::{self, File};
+use std::fs::{self, File, Metadata};
+use std::io::ErrorKind::{PermissionDenied, ResourceBusy};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
 
 /// The name of a file while it is written. A killed process leaves it, and the next attempt overwrites it.
 pub fn partial(name: &str) -> String {
     format!(".{name}.part")
+}
+
+/// Whether this is the name of a file `of` while it is written.
+pub fn is_partial(name: &str, of: &str) -> bool {
+    name.strip_prefix('.').and_then(|name| name.strip_prefix(of)).is_some_and(|rest| rest.ends_with(".part"))
 }
 
 /// The path of a file while it is written, in its folder.
@@ -20,26 +27,27 @@ pub(crate) fn partial_path(path: &Path) -> io::Result<PathBuf> {
     Ok(path.with_file_name(part))
 }
 
-/// Writes a file: complete or not at all, even after a power failure. One process may write it at a time. The file that a link names is
-/// replaced, and not the link; a device or a pipe gets the bytes.
+/// Writes a file: complete or not at all, even after a power failure. The file that a link names is replaced, and not the link, and
+/// keeps its permissions. A device, a pipe, and a file in a folder that takes no other one get the bytes.
 pub fn write(path: impl AsRef<Path>, bytes: impl AsRef<[u8]>) -> io::Result<()> {
     let (path, bytes) = (path.as_ref(), bytes.as_ref());
-    let path = match fs::metadata(path) {
-        Ok(there) if !there.is_file() => return fs::write(path, bytes),
-        Ok(_) => path.canonicalize()?,
-        Err(_) => path.to_owned(),
-    };
-    let part = partial_path(&path)?;
-    let write = || {
-        let mut file = File::create(&part)?;
-        file.write_all(bytes)?;
-        file.sync_all()?;
-        fs::rename(&part, &path)?;
-        sync_parent(&path)
-    };
-    write().inspect_err(|_| {
-        let _ = fs::remove_file(&part);
-    })
+    let is_stream = ["/dev/", "/proc/"].iter().any(|folder| path.starts_with(folder));
+    let there = fs::metadata(path).ok();
+    if is_stream || there.as_ref().is_some_and(|there| !there.is_file()) {
+        return fs::write(path, bytes);
+    }
+    if there.as_ref().is_some_and(|there| there.permissions().readonly()) {
+        return Err(io::ErrorKind::PermissionDenied.into());
+    }
+    let path = if there.is_some() { path.canonicalize()? } else { path.to_owned() };
+    let written = Part::of(&path).and_then(|part| part.filled(bytes, there.as_ref())?.renamed(&path));
+    match written {
+        // A file that is mounted alone, or whose folder is closed.
+        Err(error) if there.is_some() && matches!(error.kind(), PermissionDenied | ResourceBusy) => {
+            fs::write(&path, bytes)
+        }
+        written => written,
+    }
 }
 
 /// Writes a new file, as [`write`] does.
@@ -47,10 +55,53 @@ pub fn write(path: impl AsRef<Path>, bytes: impl AsRef<[u8]>) -> io::Result<()> 
 /// # Errors
 /// [`io::ErrorKind::AlreadyExists`] if there is one.
 pub fn write_new(path: &Path, bytes: impl AsRef<[u8]>) -> io::Result<()> {
-    if path.symlink_metadata().is_ok() {
-        return Err(io::ErrorKind::AlreadyExists.into());
+    let part = Part::of(path)?.filled(bytes.as_ref(), None)?;
+    match fs::hard_link(&part.path, path) {
+        Ok(()) => sync_parent(path),
+        Err(error) if error.kind() == io::ErrorKind::AlreadyExists => Err(error),
+        // A file system without hard links.
+        Err(_) if path.symlink_metadata().is_ok() => Err(io::ErrorKind::AlreadyExists.into()),
+        Err(_) => part.renamed(path),
     }
-    write(path, bytes)
+}
+
+/// A new file beside another one, with a name of its own. It is removed when it is dropped.
+struct Part {
+    path: PathBuf,
+    file: File,
+}
+
+impl Part {
+    fn of(path: &Path) -> io::Result<Self> {
+        static NEXT: AtomicU64 = AtomicU64::new(0);
+        let number = NEXT.fetch_add(1, Ordering::Relaxed);
+        let path = partial_path(path)?.with_extension(format!("{}-{number}.part", std::process::id()));
+        // What a killed process with this number has left, or a link that somebody put there.
+        let _ = fs::remove_file(&path);
+        let file = File::create_new(&path)?;
+        Ok(Self { path, file })
+    }
+
+    /// With these bytes on disk, and the permissions of the file that it replaces.
+    fn filled(mut self, bytes: &[u8], like: Option<&Metadata>) -> io::Result<Self> {
+        self.file.write_all(bytes)?;
+        if let Some(like) = like {
+            self.file.set_permissions(like.permissions())?;
+        }
+        self.file.sync_all()?;
+        Ok(self)
+    }
+
+    fn renamed(self, path: &Path) -> io::Result<()> {
+        fs::rename(&self.path, path)?;
+        sync_parent(path)
+    }
+}
+
+impl Drop for Part {
+    fn drop(&mut self) {
+        let _ = fs::remove_file(&self.path);
+    }
 }
 
 /// Creates a folder with its missing parents, so that they survive a power failure.
@@ -97,4 +148,51 @@ pub fn sync_all_below(folder: &Path) -> io::Result<()> {
         }
     }
     sync_folder(folder)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::os::unix::fs::{PermissionsExt, symlink};
+
+    use super::*;
+
+    #[test]
+    fn replaced_files_keep_their_permissions_and_links() {
+        let dir = tempfile::tempdir().unwrap();
+        let (file, link) = (dir.path().join("secret.json"), dir.path().join("link.json"));
+        fs::write(&file, "old").unwrap();
+        fs::set_permissions(&file, fs::Permissions::from_mode(0o600)).unwrap();
+        symlink(&file, &link).unwrap();
+        write(&link, "new").unwrap();
+        assert_eq!(fs::read(&file).unwrap(), b"new");
+        assert_eq!(fs::metadata(&file).unwrap().permissions().mode() & 0o777, 0o600);
+        assert!(fs::symlink_metadata(&link).unwrap().is_symlink());
+        fs::set_permissions(&file, fs::Permissions::from_mode(0o400)).unwrap();
+        assert_eq!(write(&file, "newer").unwrap_err().kind(), PermissionDenied);
+        assert_eq!(fs::read(&file).unwrap(), b"new");
+        write("/dev/null", "gone").unwrap();
+        assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 2, "nothing is left beside them");
+    }
+
+    #[test]
+    fn new_files_are_made_once() {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("a.json");
+        let made = &|i: u32| write_new(&file, i.to_string()).is_ok();
+        let all: Vec<bool> = std::thread::scope(|scope| {
+            let threads: Vec<_> = (0..8).map(|i| scope.spawn(move || made(i))).collect();
+            threads.into_iter().map(|thread| thread.join().unwrap()).collect()
+        });
+        assert_eq!(all.iter().filter(|made| **made).count(), 1);
+        assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn names_of_partial_files_are_recognised() {
+        let name = |path: &Path| path.file_name().unwrap().to_string_lossy().into_owned();
+        let dir = tempfile::tempdir().unwrap();
+        let part = Part::of(&dir.path().join("plan.json")).unwrap();
+        assert!(is_partial(&name(&part.path), "plan.json") && is_partial(&partial("plan.json"), "plan.json"));
+        assert!(!is_partial("plan.json", "plan.json") && !is_partial(".other.part", "plan.json"));
+    }
 }

@@ -71,7 +71,7 @@ impl Journal {
     /// removed. The journal of another plan is an error.
     ///
     /// A damaged record before the end is an error with its offset, because skipping it would lose the later episodes
-    /// silently.
+    /// silently. Only bytes that never reached the disk end the journal there.
     pub fn open(path: &Path, plan: &PlanHash) -> Result<(Self, Recovery), DictionaryError> {
         let file = OpenOptions::new().read(true).append(true).open(path).map_err(DictionaryError::io(path, "open"))?;
         let mut journal = Self::over(file, path, plan)?;
@@ -378,9 +378,9 @@ fn header_of(plan: &PlanHash) -> [u8; HEADER as usize] {
     header
 }
 
-/// Whether these bytes of a record were never written: they are zeros, all or at the end. After a power failure a file may be longer
-/// than the data that reached the disk, and later data may have reached it alone. Those episodes run again, with the same results.
+/// Whether these bytes of a record were never written: all are zeros, or at least a page of them at the end. After a power failure
+/// a file may be longer than the data that reached the disk, and later data may have reached it alone. Those episodes run again.
 fn unwritten(bytes: &[u8]) -> bool {
-    const ZEROS: usize = 32;
-    bytes.iter().rev().take(ZEROS).all(|byte| *byte == 0) && !bytes.is_empty()
+    const PAGE: usize = 4_096;
+    bytes.iter().rev().take(PAGE).all(|byte| *byte == 0) && !bytes.is_empty()
 }

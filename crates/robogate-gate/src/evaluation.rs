@@ -480,7 +480,8 @@ impl Question<'_> {
             return Err(GateError::NoSuchScope { id, scope: scope.to_string(), known: known(rounds.trials()) });
         }
         let all = all.filter(|trial| applies(requirement.metric, trial));
-        let over_groups = how.grouped.then(|| mean_over_groups(&requirement, all.clone())).flatten();
+        let over_groups =
+            (how.grouped && mode == Mode::Confidence).then(|| mean_over_groups(&requirement, all.clone())).flatten();
         let (valid, invalid, figure) = figure(requirement.metric, all, requirement.range());
         let mut result = RequirementResult {
             id,

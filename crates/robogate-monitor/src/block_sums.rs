@@ -37,6 +37,8 @@ const STEP: f64 = 1.25;
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub(crate) struct BlockSums {
+    // Stores of earlier versions have other sums under `scales`. These start empty then, and what was found is kept meanwhile.
+    #[serde(rename = "lengths")]
     scales: [Scale; SCALES],
 }
 

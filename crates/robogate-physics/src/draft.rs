@@ -84,14 +84,19 @@ pub fn draft(model: &Path, name: &str) -> Result<Draft, Vec<Problem>> {
     // A model may face another way, and its first joint may not turn far enough.
     let mut found = None;
     let mut clearance = clearance::Clearance::of(&spec, &tree.joints);
-    for yaw in if home_is_known { &[][..] } else { &BASE_YAWS } {
-        if *yaw != 0.0 {
-            settings.arm.base_yaw_rad = *yaw;
-            chain = kinematics(&settings, folder);
-        }
-        found = chain.as_ref().and_then(|chain| home_of(chain, stated, clearance.as_mut()));
-        if found.is_some() || chain.as_ref().is_none_or(turns_fully) {
-            break;
+    // A posture that touches something is better than none.
+    for may_touch in [false, true] {
+        for yaw in if home_is_known || found.is_some() { &[][..] } else { &BASE_YAWS } {
+            if settings.arm.base_yaw_rad.to_bits() != yaw.to_bits() {
+                settings.arm.base_yaw_rad = *yaw;
+                chain = kinematics(&settings, folder);
+            }
+            let mut accepted =
+                |home: &[f64]| may_touch || clearance.as_mut().is_none_or(|clearance| clearance.is_free(home));
+            found = chain.as_ref().and_then(|chain| home_of(chain, stated, &mut accepted));
+            if found.is_some() || chain.as_ref().is_none_or(turns_fully) {
+                break;
+            }
         }
     }
     if found.is_none() && settings.arm.base_yaw_rad != 0.0 {

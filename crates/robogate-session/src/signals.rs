@@ -176,14 +176,26 @@ fn cut(path: &Path) -> anyhow::Result<()> {
     let (header, mut reader) = opened(path)?;
     let mut end = reader.stream_position()?;
     // A record that is damaged ends the whole ones too. The episodes behind it have no signals then.
-    while let Ok(Some(_)) = record(&mut reader, header.width()) {
-        end = reader.stream_position()?;
+    loop {
+        match record(&mut reader, header.width()) {
+            Ok(Some(_)) => end = reader.stream_position()?,
+            Ok(None) => break,
+            // A disk that cannot be read says nothing about what is on it.
+            Err(error) if is_unreadable(&error) => return Err(error),
+            Err(_) => break,
+        }
     }
     let shorten = || {
         let file = OpenOptions::new().write(true).open(path)?;
         if file.metadata()?.len() > end { file.set_len(end) } else { Ok(()) }
     };
     shorten().with_context(|| format!("cannot write {}", path.display()))
+}
+
+fn is_unreadable(error: &anyhow::Error) -> bool {
+    let of_the_disk =
+        |error: &io::Error| error.kind() != io::ErrorKind::UnexpectedEof && error.raw_os_error().is_some();
+    error.chain().filter_map(|cause| cause.downcast_ref::<io::Error>()).any(of_the_disk)
 }
 
 /// Ends recording, and brings the records into the order of their indices: the file does not depend on threads.

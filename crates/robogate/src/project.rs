@@ -21,6 +21,9 @@ pub(crate) const FILE: &str = "robogate.toml";
 /// The verbs that read it: those that start the environment and the policy that the user chooses.
 pub(crate) const VERBS: [&str; 6] = ["run", "gate", "fleet", "demos", "serve", "policy check"];
 
+/// Keys at the top that `demos` does not read: those of campaigns.
+const OF_CAMPAIGNS: [&str; 4] = ["seed", "out", "suite", "n"];
+
 /// Options that say how an environment is started. They are left out with it.
 const OF_ENV: [&str; 2] = ["python", "map"];
 
@@ -95,6 +98,10 @@ pub(crate) fn settings(command: &Command, table: &Table, verb: &str) -> anyhow::
                 // A key at the top must belong to one of the verbs, and need not belong to this one.
                 option(command, &VERBS, key)?;
                 let Ok(option) = option(command, &[verb], key) else { continue };
+                // Demonstrations on the scenarios of a gate would train a policy on its test.
+                if verb == "demos" && OF_CAMPAIGNS.contains(&key.as_str()) {
+                    continue;
+                }
                 let setting = Setting::new(option, value, "top".to_owned())?;
                 if found.iter().all(|other| other.option != setting.option) {
                     found.push(setting);

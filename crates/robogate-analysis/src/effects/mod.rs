@@ -143,7 +143,7 @@ impl Effects {
         ranked.sort_by(|a, b| {
             b.significant.cmp(&a.significant).then(b.influence.total_cmp(&a.influence)).then(a.p.total_cmp(&b.p))
         });
-        let (interactions, pairs_tested) = if base.dependence.is_some() {
+        let (interactions, pairs_tested) = if base.dependence.is_some() || base.strata.is_some() {
             (Vec::new(), 0)
         } else {
             interaction::interactions(base, &ranked, 1.0 - SINGLE)
@@ -159,6 +159,13 @@ fn effect(
     scan: &Scan,
     adjusted: f64,
 ) -> ParameterEffect {
+    let part = base.comparable(&parameter.name);
+    let own = part.as_ref().and_then(|part| {
+        let column = part.parameter(&parameter.name)?;
+        Some((part, column, TestCells::of(part, column, TEST_CELLS)?))
+    });
+    let (base, parameter, cells) =
+        own.as_ref().map_or((base, parameter, cells), |(part, column, own)| (*part, *column, own));
     let adjusted_p = adjusted.min(1.0);
     let significant = adjusted_p <= LEVEL;
     ParameterEffect {

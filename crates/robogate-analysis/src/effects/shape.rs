@@ -52,12 +52,6 @@ pub struct RateStep {
     pub interval_95: [f64; 2],
 }
 
-impl From<Step> for RateStep {
-    fn from(step: Step) -> Self {
-        Self { at: step.at, interval_95: [step.low, step.high] }
-    }
-}
-
 /// The shape of a significant effect. `low` are the cells with the lower rate in the test.
 pub(super) fn shape(base: &Sample, parameter: &ParameterColumn, cells: &[Trials], low: &[bool]) -> Option<EffectShape> {
     if let ParameterKind::Categorical { levels } = &parameter.kind {

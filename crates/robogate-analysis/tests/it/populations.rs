@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use robogate_analysis::{Advice, Population};
+use robogate_analysis::{Advice, Population, ShapeKind};
 use robogate_core::{Assignment, FailureMode, Outcome, Value};
 use robogate_dictionary::Label;
 
@@ -257,4 +257,8 @@ fn draws_of_scenarios_are_compared_within_them() {
     assert!(analysis.clusters.is_none(), "{:?}", analysis.clusters);
     let named: Vec<&str> = analysis.effects.significant().map(|effect| effect.parameter.as_str()).collect();
     assert_eq!(named, ["mass_kg"], "{:?}", analysis.effects.ranked);
+    // Where it fails is told by the draws of its own scenario, not by the nominal value in the failing ones of friction.
+    let shape = analysis.effects.significant().next().unwrap().shape.estimated().unwrap();
+    assert_eq!((shape.kind, shape.steps.len()), (ShapeKind::Falling, 1), "{shape:?}");
+    assert!((shape.steps[0].at - 1.2).abs() < 0.1, "{shape:?}");
 }

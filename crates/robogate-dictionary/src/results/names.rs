@@ -142,7 +142,7 @@ const SPELLINGS: [(Role, &[&str]); 5] = [
 ];
 
 /// Words that name what several episodes share, if nothing but a number or a prefix stands beside them.
-const SHARED: [&str; 34] = [
+const SHARED: [&str; 32] = [
     "scenario",
     "scene",
     "case",
@@ -166,9 +166,7 @@ const SHARED: [&str; 34] = [
     "labeller",
     "technician",
     "tester",
-    "person",
     "participant",
-    "room",
     "robot",
     "arm",
     "unit",
@@ -180,16 +178,15 @@ const SHARED: [&str; 34] = [
 ];
 
 /// Words that may stand beside one of [`SHARED`].
-const NUMBERS: [&str; 16] = [
-    "id", "ids", "name", "number", "no", "nr", "num", "index", "idx", "ix", "serial", "key", "code", "test", "eval",
-    "time",
-];
+const NUMBERS: [&str; 15] =
+    ["id", "ids", "name", "number", "no", "nr", "num", "index", "idx", "ix", "serial", "key", "code", "test", "eval"];
 
 /// Whether the name says that episodes with the same value share something that can move their rate: a scenario, a day, an
 /// operator, a session, a robot.
 pub fn groups_rows(name: &str) -> bool {
     let plain = plain(name);
-    if is_initial_state(&plain) {
+    // A date with its time. The time of a robot or a session is a duration.
+    if is_initial_state(&plain) || plain == "date_time" {
         return true;
     }
     let mut words =
@@ -325,6 +322,16 @@ mod tests {
     fn identifiers_are_recognised() {
         for name in ["episode_ix", "env_id", "timestamp", "video_path", "global_episode_index", "Episode"] {
             assert_eq!(suggested(name), Suggested::Identifier, "{name}");
+        }
+    }
+
+    #[test]
+    fn times_of_what_is_shared_group_nothing() {
+        for name in ["date_time", "experimenter", "tester_id", "operator", "Labeler"] {
+            assert!(groups_rows(name), "{name}");
+        }
+        for name in ["robot_time", "cell_time", "session_time", "person", "room", "mass"] {
+            assert!(!groups_rows(name), "{name}");
         }
     }
 

@@ -46,6 +46,9 @@ pub fn only_identifies(parameter: &str) -> bool {
     [SOURCE_SEED, SOURCE_EPISODE, SOURCE_ROW].contains(&parameter) || SEED_PARTS.contains(&parameter)
 }
 
+/// Columns of the dictionary whose names a setting can have.
+const SETTINGS: [&str; 3] = ["weight", "design", "stage"];
+
 /// The column of a parameter (`None` for the row number) and the parameter.
 type FromColumn = (Option<Arc<str>>, Parameter);
 
@@ -343,7 +346,9 @@ impl<'a> Survey<'a> {
         notes: &mut Vec<String>,
     ) -> Result<Vec<FromColumn>, DictionaryError> {
         let mut parameters: Vec<FromColumn> = Vec::new();
-        for field in std::mem::take(&mut self.fields).into_iter() {
+        let fields: Vec<Field> = std::mem::take(&mut self.fields).into_iter().collect();
+        let known: BTreeSet<String> = fields.iter().map(|field| field.name.to_string()).collect();
+        for field in fields {
             let name = match &self.mapping.parameters {
                 _ if *field.name == *self.mapping.column(Role::Seed) => SOURCE_SEED,
                 _ if *field.name == *SOURCE_EPISODE => SOURCE_EPISODE,
@@ -366,10 +371,10 @@ impl<'a> Survey<'a> {
                 roles.push(SourceColumn { column, role: "seed".to_owned(), values: field.values });
                 continue;
             }
-            // A column that has the name of one of the dictionary, such as `weight`, keeps it behind `source_`.
+            // A setting with the name of a column of the dictionary keeps it behind `source_`. The other names are those of results.
             let own = format!("source_{name}");
-            let taken = self.mapping.parameters.is_none() && is_taken(&field, name, task);
-            let name = if taken && !is_taken(&field, &own, task) { &own } else { name };
+            let is_setting = self.mapping.parameters.is_none() && SETTINGS.contains(&name);
+            let name = if is_setting && !known.contains(&own) { &own } else { name };
             let domain = if self.mapping.parameters.is_some() && ![SOURCE_SEED, SOURCE_EPISODE].contains(&name) {
                 Ok(self.required(&field, name)?)
             } else {
@@ -525,16 +530,7 @@ impl<'a> Survey<'a> {
 /// The domain of a column that the mapping does not mention, or the reason why it is ignored.
 fn optional(field: &Field, name: &str, task: &TaskSpec) -> Result<Domain, String> {
     let domain = field.domain_as(name)?;
-    if is_taken(field, name, task) {
-        Err("another column of the dictionary has its name".to_owned())
-    } else {
-        Ok(domain)
-    }
-}
-
-/// Whether the dictionary has another column of this name.
-fn is_taken(field: &Field, name: &str, task: &TaskSpec) -> bool {
-    let Ok(domain) = field.domain_as(name) else { return false };
-    let parameter = Parameter { name: name.into(), domain };
-    ParameterSpace::new("one", vec![parameter]).is_ok_and(|space| Columns::of(task, &space).is_err())
+    let parameter = Parameter { name: name.into(), domain: domain.clone() };
+    let taken = ParameterSpace::new("one", vec![parameter]).is_ok_and(|space| Columns::of(task, &space).is_err());
+    if taken { Err("another column of the dictionary has its name".to_owned()) } else { Ok(domain) }
 }

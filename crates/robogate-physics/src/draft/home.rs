@@ -3,7 +3,6 @@
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use robogate_core::Seed;
 
-use super::clearance::Clearance;
 use super::{HOME_MARGIN, SHOULDER};
 use crate::{Chain, RobotSettings};
 
@@ -22,14 +21,12 @@ const FULL_REACH: f64 = 0.75;
 /// At home the tool may point this far off straight down, in radians.
 const HOME_TILT: f64 = 0.3;
 
-/// A home posture over the workspace. Short arms wait nearer to the base. A posture that touches nothing comes first.
-pub(super) fn home_of(chain: &Chain, stated: Option<&[f64]>, clearance: Option<&mut Clearance>) -> Option<Vec<f64>> {
-    let free = clearance.and_then(|clearance| home_where(chain, stated, &mut |home| clearance.is_free(home)));
-    free.or_else(|| home_where(chain, stated, &mut |_| true))
-}
-
-/// The first home posture that is accepted.
-fn home_where(chain: &Chain, stated: Option<&[f64]>, accepted: &mut dyn FnMut(&[f64]) -> bool) -> Option<Vec<f64>> {
+/// The first home posture over the workspace that is accepted. Short arms wait nearer to the base.
+pub(super) fn home_of(
+    chain: &Chain,
+    stated: Option<&[f64]>,
+    accepted: &mut dyn FnMut(&[f64]) -> bool,
+) -> Option<Vec<f64>> {
     let near = (crate::inspect::reach(chain)[0] / FULL_REACH).min(1.0);
     let mut at = |scale: f64, [far, high]: [f64; 2]| {
         let [x, y, z] = HOME_TOOL.map(|x| scale * x);

@@ -64,6 +64,9 @@ fn suits(model: &Model) -> Result<(), String> {
     if !(2..=LEVELS.len() + 1).contains(&roles) {
         return Err(format!("`stack` needs a choice of 2 to {} roles, from the bottom up", LEVELS.len() + 1));
     }
+    if let Some(name) = READ.iter().find(|name| model.lowest(name).is_none_or(|low| low.is_nan() || low < 0.0)) {
+        return Err(format!("`stack` needs a `{name}` that is never negative"));
+    }
     match model.nominal.parts.iter().all(|part| part.size_m().is_some() && part.joint.is_none()) {
         true => Ok(()),
         false => Err("`stack` needs parts that are cubes".to_owned()),

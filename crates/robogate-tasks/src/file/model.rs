@@ -190,6 +190,13 @@ impl Model {
         self.parameters.iter().map(|parameter| parameter.name).chain(settings).position(|known| known.as_str() == name)
     }
 
+    /// The lowest value of a parameter or setting.
+    pub(super) fn lowest(&self, name: &str) -> Option<f64> {
+        let settings = self.settings.iter().map(|setting| (setting.name, setting.range));
+        let mut all = self.parameters.iter().map(|parameter| (parameter.name, parameter.range)).chain(settings);
+        all.find(|(known, _)| known.as_str() == name).map(|(_, [low, _])| low)
+    }
+
     /// The part that has a role with this word of the choice.
     pub(super) fn in_role(&self, word: usize, role: &str) -> Option<usize> {
         let choice = self.choice.as_ref()?;

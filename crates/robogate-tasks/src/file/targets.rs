@@ -1,5 +1,7 @@
 //! Reads parameters: what each one sets, and its range.
 
+use std::collections::BTreeSet;
+
 use robogate_physics::Motion;
 
 use super::document::{ChoiceTable, Document, ParameterTable, Text};
@@ -127,6 +129,9 @@ impl Reading<'_, '_> {
         }
         let roles: Vec<String> = table.roles.text.split(',').map(|role| role.trim().to_owned()).collect();
         for (index, role) in roles.iter().enumerate() {
+            if role.is_empty() {
+                self.problems.of(&table.roles, "an empty role. Expected names with commas between them".to_owned());
+            }
             if self.names.frame_named(0, role).is_ok() || RESERVED.contains(&&**role) || roles[..index].contains(role) {
                 self.problems.of(&table.roles, format!("a second body or role `{role}`. Expected different names"));
             }
@@ -135,7 +140,7 @@ impl Reading<'_, '_> {
             self.problems.of(&table.name, format!("found {} words. Expected 1 to {MOST_WORDS}", table.words.len()));
         }
         let mut words = Vec::new();
-        for (word, parts) in &table.words {
+        for (word, parts) in table.words.iter().take(MOST_WORDS) {
             let found: Result<Vec<usize>, _> = parts
                 .text
                 .split(',')
@@ -145,6 +150,9 @@ impl Reading<'_, '_> {
             if found.len() != roles.len() {
                 let (count, all) = (found.len(), roles.len());
                 self.problems.of(parts, format!("`{}` has {count} parts for {all} roles", parts.text));
+            }
+            if found.iter().collect::<BTreeSet<_>>().len() != found.len() {
+                self.problems.of(parts, format!("`{}` gives one part two roles", parts.text));
             }
             words.push((word.clone(), found));
         }

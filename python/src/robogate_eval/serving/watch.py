@@ -10,8 +10,9 @@ import os
 import struct
 import sys
 
-# Most folders that are watched. An environment has far fewer.
+# Most folders that are watched, and files in them. An environment has far fewer.
 MOST_FOLDERS = 10_000
+MOST_FILES = 100_000
 # Folders that contain no files of an environment.
 SKIPPED = frozenset({".git", "__pycache__", "node_modules", "site-packages"})
 
@@ -50,6 +51,7 @@ class Watch:
 
     def _add_all(self, library: ctypes.CDLL) -> bool:
         """Watch all folders. Returns whether that worked."""
+        root, seen = os.path.realpath(self.folder), 0
         for folder, folders, files in os.walk(self.folder, followlinks=True):
             handle = self._add(library, folder)
             if handle is None:
@@ -59,10 +61,14 @@ class Watch:
                 folders.clear()
                 continue
             self._folders[handle] = folder
-            folders[:] = [name for name in folders if name not in SKIPPED]
-            for link in (path for path in (os.path.join(folder, name) for name in files) if os.path.islink(path)):
+            # A link to a folder of the environment is no second name of its files, and one to a folder above would be a walk through all.
+            folders[:] = sorted(name for name in folders if name not in SKIPPED and self._is_own(os.path.join(folder, name), root))
+            seen += len(files)
+            if seen > MOST_FILES:
+                return False
+            for link in (path for path in (os.path.join(folder, name) for name in sorted(files)) if os.path.islink(path)):
                 target = os.path.realpath(link)
-                if os.path.isfile(target):
+                if os.path.isfile(target) and not target.startswith(root + os.sep):
                     handle = self._add(library, os.path.dirname(target))
                     if handle is None:
                         return False
@@ -70,6 +76,14 @@ class Watch:
             if len(self._folders) > MOST_FOLDERS:
                 return False
         return True
+
+    @staticmethod
+    def _is_own(folder: str, root: str) -> bool:
+        """Whether a folder is walked: unless it is a link to a folder within or above the root."""
+        if not os.path.islink(folder):
+            return True
+        target = os.path.realpath(folder)
+        return os.path.commonpath([target, root]) not in (target, root)
 
     def _add(self, library: ctypes.CDLL, folder: str) -> bytes | None:
         """Watch the files in a folder. Returns its handle."""

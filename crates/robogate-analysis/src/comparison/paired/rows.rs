@@ -72,7 +72,7 @@ impl<'a> PairedRows<'a> {
         let pair = |(key, row): (&Vec<String>, &usize)| Some((*row, *there.get(key.as_slice())?));
         let rows: Vec<(usize, usize)> = of[0].iter().zip(&one.rows).filter_map(pair).collect();
         let fewest = one.rows.len().min(two.rows.len());
-        if 2 * rows.len() < fewest {
+        if rows.is_empty() || 2 * rows.len() < fewest {
             // Two rounded numbers can be equal by chance, and all other rows would be left out.
             return Err(format!("only {} of {fewest} rows have the same {} in both", rows.len(), by.join(", ")));
         }

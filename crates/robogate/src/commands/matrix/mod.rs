@@ -107,9 +107,10 @@ fn begin(dir: &Path, plan: &SweepPlan) -> Result<(), Exit> {
         .or_usage(),
         None => {
             // A process that was killed while it wrote the plan has left it under this name.
-            let own = files::partial(PLAN);
             let entries = fs::read_dir(dir).into_iter().flatten().filter_map(Result::ok);
-            if let Some(name) = entries.map(|entry| entry.file_name()).find(|name| *name != *own) {
+            if let Some(name) =
+                entries.map(|entry| entry.file_name()).find(|name| !files::is_partial(&name.to_string_lossy(), PLAN))
+            {
                 return Err(anyhow!(
                     "{} is not empty (it contains `{}`) and is not a sweep\nHint: choose an empty or new folder",
                     dir.display(),
