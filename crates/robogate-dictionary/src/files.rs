@@ -4,6 +4,7 @@ use std::ffi::OsString;
 use std::fs::{self, File, Metadata};
 use std::io::ErrorKind::{PermissionDenied, ResourceBusy};
 use std::io::{self, Write};
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -65,7 +66,7 @@ pub fn write_new(path: &Path, bytes: impl AsRef<[u8]>) -> io::Result<()> {
     }
 }
 
-/// A new file beside another one, with a name of its own. It is removed when it is dropped.
+/// A new file beside another one. It is locked while it is written, and removed when it is dropped.
 struct Part {
     path: PathBuf,
     file: File,
@@ -74,12 +75,29 @@ struct Part {
 impl Part {
     fn of(path: &Path) -> io::Result<Self> {
         static NEXT: AtomicU64 = AtomicU64::new(0);
-        let number = NEXT.fetch_add(1, Ordering::Relaxed);
-        let path = partial_path(path)?.with_extension(format!("{}-{number}.part", std::process::id()));
-        // What a killed process with this number has left, or a link that somebody put there.
-        let _ = fs::remove_file(&path);
-        let file = File::create_new(&path)?;
-        Ok(Self { path, file })
+        let usual = partial_path(path)?;
+        // A killed process has left it if nobody holds its lock. A link there is not followed.
+        let is_left = |it: Metadata| !it.is_file() || File::open(&usual).is_ok_and(|file| file.try_lock().is_ok());
+        if fs::symlink_metadata(&usual).is_ok_and(is_left) {
+            let _ = fs::remove_file(&usual);
+        }
+        let created = |path: PathBuf| File::create_new(&path).map(|file| Self { path, file });
+        let mut part = match created(usual.clone()) {
+            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {
+                // Another process or thread writes the same file.
+                let number = NEXT.fetch_add(1, Ordering::Relaxed);
+                created(usual.with_extension(format!("{}-{number}.part", std::process::id())))?
+            }
+            made => made?,
+        };
+        let _ = part.file.try_lock();
+        // Another process may have taken it for a left one before it was locked.
+        let own = part.file.metadata()?;
+        if fs::symlink_metadata(&part.path).is_ok_and(|it| (it.dev(), it.ino()) == (own.dev(), own.ino())) {
+            return Ok(part);
+        }
+        part.path.clear();
+        Self::of(path)
     }
 
     /// With these bytes on disk, and the permissions of the file that it replaces.
@@ -92,8 +110,10 @@ impl Part {
         Ok(self)
     }
 
-    fn renamed(self, path: &Path) -> io::Result<()> {
+    fn renamed(mut self, path: &Path) -> io::Result<()> {
         fs::rename(&self.path, path)?;
+        // The name may be that of another process from now on.
+        self.path.clear();
         sync_parent(path)
     }
 }
@@ -172,6 +192,26 @@ mod tests {
         assert_eq!(fs::read(&file).unwrap(), b"new");
         write("/dev/null", "gone").unwrap();
         assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 2, "nothing is left beside them");
+    }
+
+    #[test]
+    fn writers_of_one_file_do_not_mix() {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("a.json");
+        // A killed process has left this, and somebody put a link there.
+        fs::write(dir.path().join(".a.json.part"), "half").unwrap();
+        write(&file, "whole").unwrap();
+        symlink("/nowhere", dir.path().join(".a.json.part")).unwrap();
+        write(&file, "whole").unwrap();
+        let texts: Vec<String> = (0..8).map(|i| i.to_string().repeat(100_000)).collect();
+        std::thread::scope(|scope| {
+            for text in &texts {
+                let file = &file;
+                scope.spawn(move || (0..20).for_each(|_| write(file, text).unwrap()));
+            }
+        });
+        assert!(texts.contains(&fs::read_to_string(&file).unwrap()));
+        assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 1);
     }
 
     #[test]

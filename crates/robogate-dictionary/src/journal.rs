@@ -162,7 +162,11 @@ impl Journal {
         self.buffer.resize(size as usize, 0);
         reader.read_exact(&mut self.buffer).map_err(DictionaryError::io(&self.path, "read"))?;
         if crc32fast::hash(&self.buffer) != crc {
-            if u64::from(size) == rest || unwritten(&self.buffer) {
+            // A hole ends with a page. A record that only ends with zeros is followed by the head of the next one.
+            let mut next = Vec::new();
+            reader.take(4).read_to_end(&mut next).map_err(DictionaryError::io(&self.path, "read"))?;
+            let is_hole = unwritten(&self.buffer) && next.iter().all(|byte| *byte == 0);
+            if u64::from(size) == rest || is_hole {
                 // The last frame has its full length but wrong content. It counts as incomplete, and its episode runs
                 // again.
                 return Ok(None);
@@ -378,9 +382,9 @@ fn header_of(plan: &PlanHash) -> [u8; HEADER as usize] {
     header
 }
 
-/// Whether these bytes of a record were never written: all are zeros, or at least a page of them at the end. After a power failure
-/// a file may be longer than the data that reached the disk, and later data may have reached it alone. Those episodes run again.
+/// Whether these bytes of a record may not have been written: they are zeros, all or at the end. After a power failure a file may be
+/// longer than the data that reached the disk, and later data may have reached it alone. Those episodes run again.
 fn unwritten(bytes: &[u8]) -> bool {
-    const PAGE: usize = 4_096;
-    bytes.iter().rev().take(PAGE).all(|byte| *byte == 0) && !bytes.is_empty()
+    const ZEROS: usize = 32;
+    bytes.iter().rev().take(ZEROS).all(|byte| *byte == 0) && !bytes.is_empty()
 }

@@ -260,5 +260,6 @@ fn draws_of_scenarios_are_compared_within_them() {
     // Where it fails is told by the draws of its own scenario, not by the nominal value in the failing ones of friction.
     let shape = analysis.effects.significant().next().unwrap().shape.estimated().unwrap();
     assert_eq!((shape.kind, shape.steps.len()), (ShapeKind::Falling, 1), "{shape:?}");
-    assert!((shape.steps[0].at - 1.2).abs() < 0.1, "{shape:?}");
+    let step = shape.steps[0];
+    assert!(step.interval_95[0] <= 1.2 && 1.2 <= step.interval_95[1] && step.at > 0.9, "{shape:?}");
 }
