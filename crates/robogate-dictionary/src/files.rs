@@ -51,7 +51,7 @@ pub fn write(path: impl AsRef<Path>, bytes: impl AsRef<[u8]>) -> io::Result<()> 
     }
 }
 
-/// Writes a new file, as [`write`] does.
+/// Writes a new file, as [`write()`] does.
 ///
 /// # Errors
 /// [`io::ErrorKind::AlreadyExists`] if there is one.
