@@ -4,6 +4,7 @@
 use std::path::Path;
 use std::path::PathBuf;
 
+#[cfg(feature = "mujoco")]
 use anyhow::{Context, anyhow};
 use clap::{Args, Subcommand};
 #[cfg(feature = "mujoco")]
