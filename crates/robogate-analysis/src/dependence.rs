@@ -58,12 +58,14 @@ pub(crate) struct Dependence {
 }
 
 impl Dependence {
-    /// The clusters of `base`. `groups` are columns that the user names. `None` if rows are independent as far as known.
+    /// The clusters of `base`. `groups` are columns that the user names. Scenarios that are strata are no clusters. `None` if rows are
+    /// independent as far as known.
     pub(crate) fn of(
         table: &EpisodeTable,
         base: &Sample,
         population: Population,
         groups: &[String],
+        has_strata: bool,
     ) -> Result<Option<Self>, AnalysisError> {
         let mut found = Vec::new();
         for name in groups {
@@ -74,7 +76,7 @@ impl Dependence {
             found.push(Grouping { by: name.clone(), clusters });
         }
         let known_population = matches!(population, Population::AsImported | Population::Suite);
-        if groups.is_empty() && known_population && strata(table, base, population).is_none() {
+        if groups.is_empty() && known_population && !has_strata {
             found.extend(known(table, base, population));
         }
         let mut serial_p = None;
@@ -169,7 +171,8 @@ fn labelled(table: &EpisodeTable, base: &Sample, name: &str) -> Option<Clusters>
 }
 
 /// The scenarios of a suite that only say which parameters an episode draws, as those with one family of perturbations each do:
-/// whatever differs between them is drawn anew in each episode. They are no clusters, but the draws are comparable within them alone.
+/// each parameter that differs between them is sampled in each episode of some of them. Their episodes are independent, but values of a
+/// parameter can be compared only within one of them.
 pub(crate) fn strata(table: &EpisodeTable, base: &Sample, population: Population) -> Option<Clusters> {
     let cases = labelled(table, base, CASE).filter(|cases| population == Population::Suite && cases.divides())?;
     let differs = |parameter: &&ParameterColumn| parameter.values.windows(2).any(|pair| pair[0] != pair[1]);
@@ -180,12 +183,17 @@ pub(crate) fn strata(table: &EpisodeTable, base: &Sample, population: Population
 
 /// Whether a parameter has several values in one cluster.
 fn varies_within(clusters: &Clusters, parameter: &ParameterColumn) -> bool {
+    varying(clusters, parameter).contains(&true)
+}
+
+/// The clusters in which a parameter has several values.
+pub(crate) fn varying(clusters: &Clusters, parameter: &ParameterColumn) -> Vec<bool> {
     let mut first = vec![None; clusters.count()];
-    clusters
-        .of_row()
-        .iter()
-        .zip(&parameter.values)
-        .any(|(cluster, value)| *first[*cluster].get_or_insert(value) != value)
+    let mut varies = vec![false; clusters.count()];
+    for (cluster, value) in clusters.of_row().iter().zip(&parameter.values) {
+        varies[*cluster] |= *first[*cluster].get_or_insert(value) != value;
+    }
+    varies
 }
 
 /// Rows with equal values of a column are one cluster.

@@ -6,7 +6,7 @@ use robogate_stats::clusters::Clusters;
 use robogate_stats::weighted::{WeightedRate, hajek};
 use robogate_stats::{Confidence, Trials};
 
-use crate::dependence::{Dependence, strata};
+use crate::dependence::{Dependence, strata, varying};
 use crate::{AnalysisError, Population};
 
 /// The name of the column of cycle times.
@@ -230,8 +230,8 @@ impl Sample {
         population: Population,
         groups: &[String],
     ) -> Result<(), AnalysisError> {
-        self.dependence = Dependence::of(table, self, population, groups)?;
         self.strata = strata(table, self, population).filter(|_| groups.is_empty());
+        self.dependence = Dependence::of(table, self, population, groups, self.strata.is_some())?;
         Ok(())
     }
 
@@ -315,11 +315,7 @@ impl Sample {
     /// `None` if all rows are comparable.
     pub(crate) fn comparable(&self, parameter: &str) -> Option<Self> {
         let (strata, column) = (self.strata.as_ref()?, self.parameter(parameter)?);
-        let mut first = vec![None; strata.count()];
-        let mut varies = vec![false; strata.count()];
-        for (stratum, value) in strata.of_row().iter().zip(&column.values) {
-            varies[*stratum] |= *first[*stratum].get_or_insert(value) != value;
-        }
+        let varies = varying(strata, column);
         let kept: Vec<bool> = strata.of_row().iter().map(|stratum| varies[*stratum]).collect();
         Some(self.restricted(&kept))
     }

@@ -76,7 +76,7 @@ impl Part {
     fn of(path: &Path) -> io::Result<Self> {
         static NEXT: AtomicU64 = AtomicU64::new(0);
         let usual = partial_path(path)?;
-        // A killed process has left it if nobody holds its lock. A link there is not followed.
+        // A file without a lock is that of a killed process. A link is removed, because it could name any file.
         let is_left = |it: Metadata| !it.is_file() || File::open(&usual).is_ok_and(|file| file.try_lock().is_ok());
         if fs::symlink_metadata(&usual).is_ok_and(is_left) {
             let _ = fs::remove_file(&usual);
@@ -198,7 +198,7 @@ mod tests {
     fn writers_of_one_file_do_not_mix() {
         let dir = tempfile::tempdir().unwrap();
         let file = dir.path().join("a.json");
-        // A killed process has left this, and somebody put a link there.
+        // The file of a killed process, and then a link.
         fs::write(dir.path().join(".a.json.part"), "half").unwrap();
         write(&file, "whole").unwrap();
         symlink("/nowhere", dir.path().join(".a.json.part")).unwrap();

@@ -158,7 +158,9 @@ impl BlockSums {
             }
             let ratio = scale.variance() / (length * single);
             let is_sure = score(ratio, f64::from(scale.blocks - 1), scale, length) > SURE && within > LIKELY;
-            found = found.filter(|(most, _)| !is_sure || *most >= ratio).or(is_sure.then_some((ratio, k))).or(found);
+            if is_sure && found.is_none_or(|(most, _)| ratio > most) {
+                found = Some((ratio, k));
+            }
         }
         let (ratio, k) = found?;
         Some(Inflation { cycles: 1 << k, ratio: STEP.powf((ratio.ln() / STEP.ln()).ceil().max(1.0) + 1.0) })

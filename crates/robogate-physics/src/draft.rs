@@ -83,7 +83,7 @@ pub fn draft(model: &Path, name: &str) -> Result<Draft, Vec<Problem>> {
     let home_is_known = stated.is_some_and(|home| chain.as_ref().is_none_or(|chain| is_over_workspace(chain, home)));
     // A model may face another way, and its first joint may not turn far enough.
     let mut found = None;
-    let mut clearance = clearance::Clearance::of(&spec, &tree.joints);
+    let mut clearance = if home_is_known { None } else { clearance::Clearance::of(&spec, &tree.joints) };
     // A posture that touches something is better than none.
     for may_touch in [false, true] {
         for yaw in if home_is_known || found.is_some() { &[][..] } else { &BASE_YAWS } {

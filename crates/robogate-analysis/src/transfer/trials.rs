@@ -246,7 +246,7 @@ impl RealTrials {
         }
         let absent = |i: usize| trials.iter().all(|trial| trial.values[i].is_none());
         let lost: Vec<bool> = (0..space.len()).map(absent).collect();
-        // The seeds and numbers of simulated episodes are no settings that a trial could have.
+        // A trial cannot have the seed or the number of a simulated episode.
         let setting = |i: &usize| !only_identifies(&space.parameters()[*i].name);
         let incomplete =
             |trial: &&RealTrial| (0..space.len()).filter(setting).any(|i| trial.values[i].is_none() && !lost[i]);

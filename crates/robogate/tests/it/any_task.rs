@@ -172,7 +172,7 @@ fn designs_of_the_pendulum() {
     let weighted = ["134 episodes over the operating space, then 66 near", "; 200 episodes", "Sampling"];
     verb(&format!("{run} --design two-stage --verbose --out two"), 0, &weighted);
     assert!(!at.join("two/active.json").exists() && at.join("two/boundary.json").exists());
-    // A report of the boundary that cannot be read is no missing one.
+    // A boundary report that cannot be read is an error. Only a missing one is skipped.
     fs::rename(at.join("two/boundary.json"), at.join("boundary.json")).unwrap();
     fs::create_dir(at.join("two/boundary.json")).unwrap();
     verb("analyze two", 2, &["two/boundary.json"]);

@@ -61,7 +61,7 @@ class Watch:
                 folders.clear()
                 continue
             self._folders[handle] = folder
-            # A link to a folder of the environment is no second name of its files, and one to a folder above would be a walk through all.
+            # Links within the folder are not followed, so that a file has one name. A link to a folder above it would never end.
             folders[:] = sorted(name for name in folders if name not in SKIPPED and self._is_own(os.path.join(folder, name), root))
             seen += len(files)
             if seen > MOST_FILES:
