@@ -72,7 +72,7 @@ pub use operating_domain::operating_domain;
 pub use pair_plan::{PairOperating, PairPlan};
 pub use plan::{GatePlan, Operating, RequirementPlan};
 pub use production::{ProductionFigure, ProductionFigures, UNLIMITED};
-pub use ranking::{DroppedPolicy, RankedPair, RankedPolicy, Ranking, RankingDesign, RankingGuarantee};
+pub use ranking::{DroppedPolicy, RankedPair, RankedPolicy, Ranking, RankingDesign, RankingGuarantee, RankingOutcome};
 pub use real::{RealEvidence, RealStratum};
 pub use record::{Population, REPEATED, Record};
 pub use remarks::CLIPPED_ACTIONS;

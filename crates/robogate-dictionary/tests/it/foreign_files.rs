@@ -80,6 +80,17 @@ fn decimal_commas_are_numbers() {
 }
 
 #[test]
+fn numbers_with_a_unit_are_numbers() {
+    let (provenance, entries) =
+        read("unit", "success;humidity;mass;part\n1;45 %;0,5 kg;12A\n0;5 %;;13A\n1;99,5 %;1,25 kg;12A\n").unwrap();
+    assert_eq!(numbers(&entries, "humidity"), [45.0, 5.0, 99.5]);
+    assert_eq!(entries[2].episode.scenario.requested.get("part"), Some(&Value::Category("12A".into())));
+    assert!(notes(&provenance).contains("read as numbers: `humidity` in %, `mass` in kg."), "{}", notes(&provenance));
+    refused("units", "success,mass\n1,500 g\n0,0.7 kg\n", &["`g` in line 2 and `kg` in line 3", "Hint: "]);
+    refused("bare", "success,humidity\n1,45 %\n0,50\n", &["`%` in line 2 and no unit in line 3"]);
+}
+
+#[test]
 fn separator_line_is_read() {
     for line in ["sep=;\r\n", "\"sep=;\"\n", "SEP=;\n"] {
         let (provenance, entries) =

@@ -6,6 +6,7 @@ use anyhow::Context;
 use robogate_analysis::{AnalysisOptions, Source};
 use robogate_dictionary::files;
 use robogate_gate::{Asked, Evaluation, Question, RealEvidence, Requirements, Sampling, Verdict};
+use robogate_report::Again;
 use robogate_stats::format::counted;
 
 use super::question::{Other, real_evidence_for};
@@ -74,7 +75,8 @@ impl Gate {
             let target_rate = target_of(Some(&evaluation));
             let options = AnalysisOptions { target_rate, models: false, ..AnalysisOptions::default() };
             let analysis = analyse(&source, run, &options)?;
-            changes::print(&changes::of(&source, &analysis, &evaluation, None, &quoted(run)));
+            let again = self.again(Again::of(&analysis));
+            changes::print(&changes::of(&source, &analysis, &evaluation, None, &quoted(run), &again));
         }
         Ok(code)
     }

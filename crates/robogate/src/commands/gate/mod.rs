@@ -17,7 +17,9 @@ use clap::Args;
 use crate::arguments::{AccessArguments, EnvironmentArguments, LatencyArguments, PolicyArguments};
 use crate::commands::run::How;
 use crate::exit::{Exit, OrExit};
+use crate::given::Given;
 use crate::twins::NominalEpisodes;
+use robogate_report::Again;
 use robogate_session::{CONTROL_EPISODES, PolicyLocation};
 
 pub(crate) use judge::evaluation_of;
@@ -30,6 +32,9 @@ pub(crate) use verdict::{answer_files, finish};
 /// Exit codes: 0 pass, 1 fail, 3 inconclusive, 4 nothing was evaluated.
 #[derive(Debug, Args)]
 pub(crate) struct Gate {
+    /// First, because reading the other arguments removes them.
+    #[command(flatten)]
+    given: Given,
     /// Judge this run's folder or dictionary instead of running episodes
     #[arg(long, value_name = "RUN", conflicts_with_all = ["suite", "rounds", "fixed", "seed", "plan"])]
     run: Option<PathBuf>,
@@ -134,6 +139,18 @@ impl Gate {
         match &self.run {
             Some(run) => self.judge(run),
             None => self.start(),
+        }
+    }
+
+    /// The options of a new run: those of the subject, and those of this command line that a new run also has.
+    fn again(&self, subject: Again) -> Again {
+        let own = ["run", "seed", "rounds", "out", "json", "plan", "divide", "register", "write_baseline", "goes_on"];
+        let scenarios = ["suite", "space", "family", "nominal", "fixed"];
+        let elsewhere = [&own[..], &scenarios].concat();
+        Again {
+            gate: subject.gate + &self.given.again("gate", &own),
+            gate_elsewhere: subject.gate_elsewhere + &self.given.again("gate", &elsewhere),
+            run: subject.run + &self.given.again("run", &elsewhere),
         }
     }
 

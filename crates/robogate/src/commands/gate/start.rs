@@ -8,6 +8,7 @@ use robogate_campaign::{Completion, DEFAULT_SEED, Plan, Settings};
 use robogate_core::Suite;
 use robogate_dictionary::{Label, Provenance, files};
 use robogate_gate::{Asked, AskedAgainst, GatePlan, PairPlan, Planned, Question, Record, Requirements, Sampling};
+use robogate_report::Again;
 use robogate_stats::format::counted;
 
 use super::Gate;
@@ -313,7 +314,8 @@ impl Gate {
             subject.write_fingerprint(&dir);
         }
         let (asked, other) = rounds.end(&completion)?;
-        finish(&dir, &asked, other.as_ref(), completion, Some(&subject), self.how.json)
+        let again = self.again(Again::default());
+        finish(&dir, &asked, other.as_ref(), completion, Some(&subject), Some(&again), self.how.json)
     }
 }
 
@@ -334,7 +336,7 @@ pub(crate) fn resume(
         subject.write_fingerprint(dir);
     }
     let (asked, other) = rounds.end(&completion)?;
-    finish(dir, &asked, other.as_ref(), completion, Some(subject), how.json)
+    finish(dir, &asked, other.as_ref(), completion, Some(subject), None, how.json)
 }
 
 impl Prepared {
