@@ -131,6 +131,15 @@ pub enum GateError {
         /// The population of the episodes.
         run: String,
     },
+    /// Policies that were judged under other conditions.
+    #[error(
+        "the two policies were not judged alike: {differences}\nHint: run both with the same settings, engine and robot; `robogate requalify` \
+         compares one policy under two of them"
+    )]
+    OtherConditions {
+        /// What differs.
+        differences: String,
+    },
     /// A baseline in a newer format.
     #[error("unsupported baseline format {found}. Expected at most {known}\nHint: upgrade robogate")]
     NewerBaseline {

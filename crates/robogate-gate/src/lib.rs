@@ -19,6 +19,7 @@ mod asked;
 mod baseline;
 mod cases;
 mod comparison;
+mod conditions;
 mod dependence;
 mod error;
 mod evaluation;
@@ -55,6 +56,7 @@ pub use asked::{Asked, AskedAgainst};
 pub use baseline::{Baseline, BaselineFigure};
 pub use cases::NewCases;
 pub use comparison::{Against, Comparison, Planned, StageComparison, check_pairing, check_repeats};
+pub use conditions::Conditions;
 pub use dependence::RowGroups;
 pub use error::GateError;
 pub use evaluation::{

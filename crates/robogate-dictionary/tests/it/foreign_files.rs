@@ -91,6 +91,17 @@ fn numbers_with_a_unit_are_numbers() {
 }
 
 #[test]
+fn columns_of_spreadsheets_are_parameters() {
+    let (provenance, entries) =
+        read("names", "success,Mass (kg),H\u{f6}he,belt-speed,belt_speed\n1,0.5,2,3,4\n0,0.7,2.5,5,6\n").unwrap();
+    assert_eq!(numbers(&entries, "Mass_kg"), [0.5, 0.7]);
+    assert_eq!(numbers(&entries, "Hoehe"), [2.0, 2.5]);
+    // Another column has the name.
+    assert_eq!(numbers(&entries, "belt_speed"), [4.0, 6.0]);
+    assert!(notes(&provenance).contains("Column `belt-speed` is ignored"), "{}", notes(&provenance));
+}
+
+#[test]
 fn separator_line_is_read() {
     for line in ["sep=;\r\n", "\"sep=;\"\n", "SEP=;\n"] {
         let (provenance, entries) =

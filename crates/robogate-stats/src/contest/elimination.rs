@@ -482,7 +482,7 @@ mod tests {
         contest.look(&round).unwrap();
         // For "the first is better" the second has the top score in the first block, and the first has none in the second one.
         assert_eq!(contest.claim(0, 1), Claim { won: 1, lost: 2 });
-        assert_eq!(contest.claim(1, 0), Claim { won: 0, lost: 3 });
+        assert_eq!(contest.claim(1, 0), Claim { won: 0, lost: 4 });
         assert_eq!(contest.mean_score(0), Some(7.0 / 9.0));
         assert_eq!((contest.trials(0).n(), contest.trials(0).successes()), (3, 1));
     }

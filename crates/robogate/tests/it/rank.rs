@@ -82,8 +82,12 @@ fn worse_policies_leave_early() {
 fn policies_are_ranked_by_the_stages_that_they_reach() {
     let dir = folder();
     let at = dir.path();
-    let contest = "rank scripted random --task button --by stage --rounds 2 --controls 0 --threads 2 --out a";
-    verb(at, contest, 0, &["scripted is the best of 2 policies by the stages reached", "stages", "got further"]);
+    let task = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets/tasks/button");
+    let contest = format!(
+        "rank scripted random --task {} --by stage --rounds 2 --controls 0 --threads 2 --out a",
+        task.canonicalize().unwrap().display()
+    );
+    verb(at, &contest, 0, &["scripted is the best of 2 policies by the stages reached", "stages", "got further"]);
     let ranking = json(&at.join("a/ranking.json"));
     assert_eq!((&ranking["by"], &ranking["policies"][0]["name"]), (&"stage".into(), &"scripted".into()));
     let share = |at: usize| ranking["policies"][at]["stage"].as_f64().unwrap();

@@ -104,6 +104,12 @@ class Adapter:
         self.deterministic = False
         if is_twin:
             return
+        for name, policy in environment.policies.items():
+            if policy.check is not None:
+                try:
+                    policy.check(env)
+                except ValueError as why:
+                    raise DeclarationError(f"the policy {name}: {why}") from None
         try:
             self.deterministic = self._is_deterministic(doing)
             self._require_success(doing)

@@ -114,6 +114,10 @@ pub(crate) struct Gate {
     environment: EnvironmentArguments,
     #[command(flatten)]
     policy: PolicyArguments,
+    /// Record the files of the policy behind a server: the folder or file of its checkpoint, which `robogate admit --checkpoint`
+    /// compares; default: that of a policy that the environment's process loads (lerobot:, sb3:)
+    #[arg(long, value_name = "PATH", requires = "policy", conflicts_with_all = ["run", "plan"])]
+    checkpoint: Option<PathBuf>,
     #[command(flatten)]
     access: AccessArguments,
     #[command(flatten)]

@@ -33,6 +33,8 @@ pub(super) struct RunArguments {
 /// The episodes of a run.
 pub(super) struct Recorded {
     pub(super) conditions: Conditions,
+    /// SHA-256 (hex) of the provenance of the run, which determines its episodes.
+    pub(super) run: String,
     pub(super) signals: Signals,
     /// The parameters that vary.
     pub(super) parameters: Vec<KnownParameter>,
@@ -128,7 +130,8 @@ impl RunArguments {
             ));
         }
         let conditions = conditions(provenance);
-        Ok((Recorded { conditions, signals: header.signals, parameters, tracks }, known))
+        let run = hex(&Sha256::digest(provenance.to_json()));
+        Ok((Recorded { conditions, run, signals: header.signals, parameters, tracks }, known))
     }
 
     /// Runs the episodes again and records their signals.
