@@ -140,6 +140,12 @@ pub enum GateError {
         /// What differs.
         differences: String,
     },
+    /// A question that was changed after the start of its gate.
+    #[error(
+        "gate-question.json is not the question that the gate was asked: the run names another one\nHint: restore the file; another question \
+         about a finished run is asked with `robogate gate --run DIR --requirements FILE` on a copy without it"
+    )]
+    OtherQuestion,
     /// A baseline in a newer format.
     #[error("unsupported baseline format {found}. Expected at most {known}\nHint: upgrade robogate")]
     NewerBaseline {

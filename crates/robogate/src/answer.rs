@@ -300,7 +300,8 @@ pub(crate) fn print_plan(plan: &GatePlan) {
     print_joint(plan);
 }
 
-fn value(metric: Metric, x: f64) -> String {
+/// A figure of a metric with its unit.
+pub(crate) fn value(metric: Metric, x: f64) -> String {
     match metric {
         Metric::CycleTime(_) | Metric::TimeToSuccess(_) => format!("{x:.2} s"),
         Metric::Measure(..) | Metric::Production(_) => number(x),

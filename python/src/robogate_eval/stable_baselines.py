@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from .serving.layers import layers
+from .serving.layers import action_masks, layers
 
 # The algorithms of sb3_contrib, by a part of the module of their policies.
 CONTRIB = {"recurrent": "RecurrentPPO", "maskable": "MaskablePPO", "tqc": "TQC", "qrdqn": "QRDQN", "ars": "ARS", "crossq": "CrossQ"}
@@ -55,7 +55,7 @@ class Model:
         self._check_arguments(env)
         self._check_actions(env)
         model, recurrent = self.model, hasattr(getattr(self.model, "policy", None), "lstm_actor")
-        masks = _masks(env)
+        masks = action_masks(env)
         limit = self._limit(env)
         state, steps = None, 0
 
@@ -81,7 +81,7 @@ class Model:
 
         self._check_arguments(env)
         self._check_actions(env)
-        if type(self.model).__name__ == "MaskablePPO" and _masks(env) is None:
+        if type(self.model).__name__ == "MaskablePPO" and action_masks(env) is None:
             raise ValueError("the model was trained with masked actions, but the environment has no action_masks()")
         space = getattr(env, "observation_space", None)
         parts = getattr(space, "spaces", None)
@@ -155,11 +155,6 @@ class Model:
                     else ""
                 )
                 raise ValueError(f"the model expects {key} of the shape {tuple(shape)}, but the environment observes {found}{hint}")
-
-
-def _masks(env: Any) -> Callable[[], Any] | None:
-    """What returns the actions that are possible now. None for an environment that does not say."""
-    return next((masks for layer in layers(env) if callable(masks := getattr(layer, "action_masks", None))), None)
 
 
 def _with_time(observation: Any, feature: float) -> Any:
