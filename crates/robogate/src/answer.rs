@@ -124,7 +124,8 @@ fn groups(evaluation: &Evaluation) {
     }
     line("");
     if troubled.is_empty() {
-        line(format_args!("  All episodes of all {} scenario groups succeeded.", evaluation.groups.len()));
+        let groups = counted(evaluation.groups.len() as u64, "scenario group");
+        line(format_args!("  All episodes of {groups} succeeded."));
         return;
     }
     let all = troubled.len();

@@ -17,6 +17,7 @@ use sha2::{Digest, Sha256};
 
 use crate::arguments::AccessArguments;
 use crate::exit::{DONE, Exit, FAIL, INVALID, OrExit};
+use crate::number;
 use crate::terminal::{bold, foreign, line, note};
 
 /// Check that a deployed policy is the one that was judged: ask it the same, and compare its answers.
@@ -44,7 +45,7 @@ pub(crate) struct Admit {
     #[arg(long, value_name = "PROFILE", requires = "policy")]
     profile: Option<String>,
     /// Control periods of the cell per second; another number than that of the judged task is refused; default: not checked
-    #[arg(long, value_name = "HZ", requires = "policy")]
+    #[arg(long, value_name = "HZ", requires = "policy", value_parser = number::positive)]
     rate: Option<f64>,
     #[command(flatten)]
     access: AccessArguments,
@@ -168,7 +169,7 @@ impl Admit {
             (None, path) => path.as_ref().map_or_else(String::new, |path| path.display().to_string()),
         };
         if !differences.is_empty() {
-            line(bold(format_args!("NOT ADMITTED: {deployed} is not the judged policy")));
+            line(bold(format_args!("NOT ADMITTED: {deployed}")));
             differences.iter().for_each(|difference| line(format_args!("  {}", foreign(difference))));
             return;
         }

@@ -58,7 +58,7 @@ fn judged_policy_is_admitted_and_others_are_not() {
     verb(at, &format!("{same} --policy {judged}"), 0, &["answers as the judged policy", files[1]]);
     fs::write(at.join("act/config.json"), r#"{"n_action_steps": 10, "device": "cpu"}"#).unwrap();
     let cause = "chunk length: config.json has n_action_steps = 10 in place of 50";
-    verb(at, same, 1, &["NOT ADMITTED: act is not the judged policy", cause]);
+    verb(at, same, 1, &["NOT ADMITTED: act", cause]);
     verb(at, &format!("{same} --policy {judged}"), 1, &[cause]);
 
     // Evidence contains the fingerprint, and one of another gate is not that of this evidence.
