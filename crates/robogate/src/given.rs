@@ -29,12 +29,17 @@ impl Given {
     pub(crate) fn again(&self, verb: &str, except: &[&str]) -> String {
         let mut command = crate::Arguments::command();
         command.build();
-        let verb = command.find_subcommand(verb);
+        let arguments = command.find_subcommand(verb).into_iter().flat_map(clap::Command::get_arguments);
         let mut words = String::new();
-        for (name, occurrences) in self.0.iter().filter(|(name, _)| !except.contains(&name.as_str())) {
-            let argument =
-                verb.and_then(|verb| verb.get_arguments().find(|argument| argument.get_id() == name.as_str()));
-            let Some(argument) = argument.filter(|argument| argument.get_long().is_some()) else { continue };
+        for argument in arguments.filter(|argument| argument.get_long().is_some()) {
+            let given = self.0.iter().find(|(name, _)| argument.get_id() == name.as_str());
+            let Some((name, occurrences)) = given.filter(|(name, _)| !except.contains(&name.as_str())) else {
+                continue;
+            };
+            if !argument.get_action().takes_values() {
+                words += &format!(" {}", option(name));
+                continue;
+            }
             let between = if argument.is_require_equals_set() { '=' } else { ' ' };
             for values in occurrences {
                 words += &format!(" {}", option(name));

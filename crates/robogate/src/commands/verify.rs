@@ -265,8 +265,8 @@ fn tell(verified: &Verified) {
         }
         Some(Registered { number, keyid }) => format!(
             "  registered before its first episode, as number {number} of key {keyid}\nHint: request the evidence of \
-             registrations 1 to {}: they may be earlier attempts",
-            number - 1
+             {}: earlier attempts may be among them",
+            if *number == 2 { "registration 1".to_owned() } else { format!("registrations 1 to {}", number - 1) }
         ),
     });
     line(match signed {

@@ -82,7 +82,7 @@ pub(crate) struct Gate {
     against_profile: Option<String>,
     /// Set the maximum number of rounds of the suite; default: the budget of the requirements, or 1 for a published
     /// benchmark
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     rounds: Option<u32>,
     /// Run all rounds and test once, instead of stopping as soon as the verdict is certain. Points of a space are then one set,
     /// which each round repeats
