@@ -229,6 +229,21 @@ class Declaring(unittest.TestCase):
             with self.assertRaisesRegex(DeclarationError, part):
                 sliding_box(make)
 
+    def test_names_are_failure_modes_and_other_values_are_refused(self):
+        self.assertEqual(Task("a", failure_modes=["far", FailureMode("near")]).failure_modes, (FailureMode("far"), FailureMode("near")))
+        with self.assertRaisesRegex(DeclarationError, "failure_modes has 3. Expected FailureMode"):
+            Task("a", failure_modes=[3])
+        with self.assertRaisesRegex(DeclarationError, "measures has 'd'. Expected Measure"):
+            Task("a", measures=["d"])
+
+    def test_what_needs_arguments_names_them(self):
+        class Needs(Plain):
+            def __init__(self, radius, *, noise=0.0):
+                super().__init__()
+
+        with self.assertRaisesRegex(DeclarationError, "mine.Needs needs the arguments radius. Hint: .*return Needs\\(radius=...\\)"):
+            as_environment(Needs, "mine.Needs")
+
     def test_class_is_an_environment(self):
         environment = as_environment(SlidingBox, "mine.SlidingBox")
         self.assertEqual(environment.task.name, "mine.SlidingBox")

@@ -233,7 +233,8 @@ pub(crate) fn main_modes(modes: &FailureModes) -> String {
     if others > 0 {
         counts.push(format!("{} other", count(others)));
     }
-    format!("{}: {}. No mode is significantly the most frequent.", sentence(&failures), list(&counts))
+    let none = if counts.len() > 1 { " None is significantly more frequent than the others." } else { "" };
+    format!("{}: {}.{none}", sentence(&failures), list(&counts))
 }
 
 fn region(region: &FailureRegion) -> String {

@@ -485,6 +485,9 @@ class Adapter:
             self._policy = None
             if self._task.measure is not None:
                 measures = dict(self._task.measure(trajectory))
+                for name, value in measures.items():
+                    if value is not None and not np.isfinite(value):
+                        raise Problem("setup", f"the measure {name!r} is {value!r}. Return None for a measure without a value")
             if self._task.starts_may_succeed:
                 measures[declaration.SUCCESS_AT_START.name] = float(self._solved)
             if self._hosts:

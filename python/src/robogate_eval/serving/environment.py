@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -96,6 +97,14 @@ class Task:
     # them. State it if the numbers are absolute positions.
     rest_action: Sequence[float] | None = None
 
+    def __post_init__(self) -> None:
+        # A name alone is a failure mode without a meaning.
+        modes = tuple(FailureMode(mode) if isinstance(mode, str) else mode for mode in self.failure_modes)
+        object.__setattr__(self, "failure_modes", modes)
+        for what, values, kind in (("failure_modes", modes, FailureMode), ("measures", self.measures, Measure), ("cameras", self.cameras, Camera)):
+            if other := next((value for value in values if not isinstance(value, kind)), None):
+                raise DeclarationError(f"Task {self.name}: {what} has {other!r:.60}. Expected {kind.__name__}(...)")
+
 
 @dataclass(frozen=True)
 class Environment:
@@ -134,6 +143,7 @@ def as_environment(value: Any, name: str) -> Environment:
     if not callable(value):
         hint = ". Hint: `lambda: ...` around what makes it" if hasattr(value, "reset") else ""
         raise DeclarationError(f"{name}: expected an Environment or a function that makes one, not {type(value).__name__}{hint}")
+    _check_no_arguments(value, name)
     # A class, or a function that is annotated with something else, makes a Gymnasium environment.
     if not isinstance(value, type):
         made = value()
@@ -142,6 +152,23 @@ def as_environment(value: Any, name: str) -> Environment:
         first = [made]
         return Environment(make=lambda: first.pop() if first else value(), task=Task(name=task_name(name)))
     return Environment(make=value, task=Task(name=task_name(name)))
+
+
+def _check_no_arguments(value: Callable[..., Any], name: str) -> None:
+    """Raise if a class or function cannot be called without arguments."""
+    try:
+        parameters = inspect.signature(value).parameters.values()
+    except (TypeError, ValueError):  # one that is written in C does not say
+        return
+    varying = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+    needed = [of.name for of in parameters if of.default is of.empty and of.kind not in varying]
+    if needed:
+        own = name.rpartition(".")[2] or name
+        arguments = ", ".join(f"{argument}=..." for argument in needed)
+        raise DeclarationError(
+            f"{name} needs the arguments {', '.join(needed)}. Hint: write a function without arguments, `def make(): return {own}({arguments})`, and "
+            "name it"
+        )
 
 
 def innermost(env: Any) -> Any:
