@@ -395,8 +395,12 @@ class StableBaselines(unittest.TestCase):
         for env in (gymnasium.make("Pendulum-v1"), gymnasium.make("Pendulum-v1", g=2.0)):
             with self.assertRaisesRegex(ValueError, r"with g = 1.5 .*gymnasium:Pendulum-v1\?g=1.5"):
                 trained.function(env)
-        # An environment of a file has no arguments that could be compared.
-        self.assertIsNotNone(trained.function(gymnasium.make("Pendulum-v1").unwrapped.__class__()))
+        # An environment of a file shows its arguments as attributes.
+        own = gymnasium.make("Pendulum-v1").unwrapped.__class__()
+        with self.assertRaisesRegex(ValueError, "with g = 1.5 .* does not show that it has them"):
+            trained.function(own)
+        own.g = 1.5
+        self.assertIsNotNone(trained.function(own))
 
     def test_channels_of_images_may_be_last(self):
         loaded = policies.load(f"sb3:{self.model}")
