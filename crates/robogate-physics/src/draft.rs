@@ -6,6 +6,7 @@
 mod clearance;
 mod home;
 mod servo;
+mod urdf;
 
 use std::fmt::Write;
 use std::path::Path;
@@ -111,6 +112,7 @@ pub fn draft(model: &Path, name: &str) -> Result<Draft, Vec<Problem>> {
         settings.arm.reach_m = crate::inspect::reach(chain)[0];
         arm.drop_soft_gains(chain, &settings.arm.home_rad);
     }
+    draft.guesses.extend(urdf::guesses(&text));
     draft.write(name, &file, &arm, &tool, &settings, (home_is_known, found.is_some()));
     Ok(Draft { text: draft.out, guesses: draft.guesses })
 }
@@ -334,7 +336,7 @@ impl ArmDraft {
                 })
                 .collect(),
             home: home(raw, &names),
-            velocity: names.iter().map(|name| urdf_velocity(text, name)).collect(),
+            velocity: names.iter().map(|name| urdf::velocity(text, name)).collect(),
             torque: tree.joints.iter().map(torque).collect(),
             gains: tree.joints.iter().map(gains).collect(),
             drags: tree.joints.iter().map(|joint| servo::drag(model, *joint, ACCELERATION)).collect(),
@@ -359,18 +361,6 @@ fn home(model: &MjModel, joints: &[String]) -> Option<Vec<f64>> {
     let position =
         |name: &String| model.key_qpos().get(key * nq + model.jnt_qposadr()[joint_id(model, name)?] as usize).copied();
     joints.iter().map(position).collect()
-}
-
-/// The velocity limit of a joint of a URDF, in rad/s. MuJoCo does not read it.
-fn urdf_velocity(text: &str, joint: &str) -> Option<f64> {
-    let start = [format!("name=\"{joint}\""), format!("name='{joint}'")]
-        .iter()
-        .flat_map(|name| text.match_indices(name.as_str()).map(|(at, _)| at).collect::<Vec<_>>())
-        .find(|at| text[..*at].trim_end().ends_with("<joint"))?;
-    let element = text[start..].split("</joint>").next()?;
-    let value = element.split("velocity=").nth(1)?;
-    let quote = value.chars().next().filter(|quote| "\"'".contains(*quote))?;
-    value[1..].split(quote).next()?.trim().parse().ok().filter(|speed: &f64| *speed > 0.0 && speed.is_finite())
 }
 
 /// The frames and the gripper.
