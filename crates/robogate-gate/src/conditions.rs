@@ -50,7 +50,18 @@ impl Conditions {
 
     /// What may differ and does, in words.
     pub(crate) fn differences(&self, other: &Self) -> Vec<String> {
-        differences(&self.stated, &other.stated)
+        let only = |one: &Self, other: &Self, words: &str| -> Vec<String> {
+            let missing = one.stated.iter().filter(|(name, _)| !other.stated.iter().any(|(known, _)| known == name));
+            missing.map(|(name, value)| format!("{name}: {value}, {words}")).collect()
+        };
+        let both = differences(&self.stated, &other.stated);
+        let unknown = self.stated.is_empty() || other.stated.is_empty();
+        let others = if unknown {
+            Vec::new()
+        } else {
+            [only(self, other, "only before"), only(other, self, "only now")].concat()
+        };
+        both.into_iter().chain(others).collect()
     }
 }
 

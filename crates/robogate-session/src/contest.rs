@@ -323,7 +323,7 @@ fn top(task: &TaskSpec, by: RankingOutcome) -> u32 {
     }
 }
 
-/// How far an episode went, up to [`top`]. `None` if it is invalid, or if it did not count its stages.
+/// How far an episode went, up to [`top`]. `None` if it is invalid.
 fn score(task: &TaskSpec, entry: &Entry, by: RankingOutcome) -> Option<u32> {
     let episode = &entry.episode;
     let success = match &episode.outcome {
@@ -333,7 +333,9 @@ fn score(task: &TaskSpec, entry: &Entry, by: RankingOutcome) -> Option<u32> {
     match by {
         RankingOutcome::Success => Some(u32::from(success)),
         RankingOutcome::Stage => {
-            task.stage_share(success, &episode.measures).map(|share| (share * f64::from(top(task, by))).round() as u32)
+            // A failure that counted no stages has reached none, as far as is known.
+            let share = task.stage_share(success, &episode.measures).unwrap_or(0.0);
+            Some((share * f64::from(top(task, by))).round() as u32)
         }
     }
 }

@@ -9,6 +9,7 @@ use robogate_policy::{Checkpoint, Fingerprint, Recorder};
 use robogate_stats::format::counted;
 
 use crate::failure::{Failure, OrFailure};
+use crate::loaded_policy::loaded_path;
 use crate::notice::note;
 use crate::policy_source::PolicySource;
 use crate::subject::Subject;
@@ -40,11 +41,21 @@ pub fn read_checkpoint(folder: &Path) -> Result<Option<Checkpoint>, Failure> {
 }
 
 impl Subject {
-    /// The folder or file of the policy that the process of the environment loads, such as `lerobot:FOLDER`.
-    pub fn loaded_checkpoint(&self) -> Option<PathBuf> {
+    /// The record of the folder or file that the process of the environment loads as its policy, such as `lerobot:FOLDER`. `None` for
+    /// other policies, and with a note if it cannot be recorded.
+    pub fn loaded_checkpoint(&self) -> Option<Checkpoint> {
         let Some(PolicySource::Declared(policy)) = self.policy_source() else { return None };
-        let path = policy.from.as_deref()?.split_once(':')?.1;
-        Some(path.split_once('?').map_or(path, |(path, _)| path).into())
+        let path = Path::new(loaded_path(policy.from.as_deref()?));
+        // The folder of a training has several checkpoints. These are tried in the order in which the process does it.
+        let inner = ["", "pretrained_model", "checkpoints/last/pretrained_model"].map(|inner| path.join(inner));
+        let loaded = inner.iter().find(|folder| folder.join("config.json").is_file());
+        match checkpoint(loaded.map_or(path, PathBuf::as_path)) {
+            Ok(found) => Some(found),
+            Err(why) => {
+                note(format_args!("note: the files of the policy are not recorded: {:#}", why.error));
+                None
+            }
+        }
     }
 
     /// Asks a policy server or a network again what it was asked in some control periods of the episodes so far, and writes its

@@ -65,6 +65,11 @@ impl LoadedPolicy {
     }
 }
 
+/// The path in a name such as `lerobot:FOLDER?argument`.
+pub(crate) fn loaded_path(from: &str) -> &str {
+    parts(from.split_once(':').map_or(from, |(_, named)| named)).0
+}
+
 /// The path of a policy, and its arguments.
 fn parts(named: &str) -> (&str, impl Iterator<Item = &str>) {
     let (path, arguments) = named.split_once('?').unwrap_or((named, ""));

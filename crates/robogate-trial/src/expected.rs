@@ -100,6 +100,8 @@ pub fn rules(plan: &Plan) -> Vec<String> {
         &test,
         stop,
         "Blocks: one set-up with one trial of each policy, in random order.",
+        "Corrections: only the result of the last trial can be corrected, with a reason. The test counts the one of both results that is \
+         against the claim.",
         "Exclusions: a trial is repeated only if it is declared invalid with a reason before Stop, or if the switch or the \
          server of the policy fails. A claim must hold even if each such trial had gone against it. A trial declared invalid \
          after Stop counts as a failure.",

@@ -177,7 +177,7 @@ def load(path: "str | os.PathLike[str]", statistics: "str | os.PathLike[str] | N
     place = Path(path)
     file = place if not place.is_dir() else _zip_in(place)
     settings = _settings(file)
-    # The Zoo normalises only where its settings say so, whatever lies beside them.
+    # The Zoo normalises only where its settings say so, also with statistics beside them.
     off = "normalize" in settings and not _normalizes(settings)
     found = [Path(statistics)] if statistics is not None else [] if off else _statistics_of(file)
     if not found and _normalizes(settings):

@@ -142,7 +142,7 @@ const SPELLINGS: [(Role, &[&str]); 5] = [
 ];
 
 /// Words that name what several episodes share, if nothing but a number or a prefix stands beside them.
-const SHARED: [&str; 49] = [
+const SHARED: [&str; 47] = [
     "scenario",
     "scene",
     "case",
@@ -175,7 +175,6 @@ const SHARED: [&str; 49] = [
     "cell",
     "site",
     "lab",
-    "worker",
     "team",
     "tray",
     // German, French, Spanish, Italian, Dutch.
@@ -190,7 +189,6 @@ const SHARED: [&str; 49] = [
     "jour",
     "equipe",
     "operador",
-    "dia",
     "turno",
     "operatore",
 ];

@@ -97,7 +97,7 @@ impl Evidence {
         }
     }
 
-    /// Whether a field is a number, with whatever separators.
+    /// Whether a field is a number, with any separators.
     pub(super) fn may_be_number(text: &str) -> bool {
         shape(text).is_some() || plain(text).is_some()
     }

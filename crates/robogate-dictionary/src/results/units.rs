@@ -74,7 +74,7 @@ pub(super) struct Column {
     other: Option<(&'static str, u64)>,
     /// The line of the first number without a unit.
     bare: Option<u64>,
-    /// A field is a word. One after numbers without a unit is not looked for.
+    /// A field is a word.
     words: bool,
 }
 
@@ -89,7 +89,9 @@ impl Column {
                 Some(_) => {}
             },
             // Most columns end here: the first field has shown what they are.
-            None if self.words || (self.bare.is_some() && self.unit.is_none()) => {}
+            None if self.words || (self.bare.is_some() && self.unit.is_none()) => {
+                self.words |= text.starts_with(char::is_alphabetic);
+            }
             None if is_number(text) => self.bare = self.bare.or(Some(line)),
             None => self.words = true,
         }
@@ -141,6 +143,7 @@ mod tests {
             assert_eq!(parts(text), None, "{text}");
         }
         assert_eq!(decided(&["45 %", "high", "50"]), Ok(None));
+        assert_eq!(decided(&["50", "high", "45 %"]), Ok(None));
     }
 
     #[test]

@@ -17,7 +17,7 @@ pub(super) fn kind(kind: JointKind) -> MjtJoint {
 }
 
 /// How firmly dry friction holds a joint: MuJoCo's largest impedance d. A part 1 - d of the acceleration is let through, so that a loaded
-/// joint creeps whatever its friction is: with the default of 0.9 to 0.95, a lever of 0.4 kg sank by 4 degrees in a second.
+/// joint creeps at a speed that does not depend on its friction: with the default of 0.9 to 0.95, a lever of 0.4 kg sank by 4 degrees in a second.
 const HOLDS: f64 = 0.9999;
 /// The time in which dry friction stops a joint, in seconds, and the damping ratio.
 const HOLDS_REFERENCE: [f64; 2] = [0.005, 1.0];

@@ -11,19 +11,17 @@ use super::{Checkpoint, Content};
 const LISTED: usize = 6;
 
 /// Settings that say where something runs or lies, and not what it does: the last part of their path.
-const NO_EFFECT: [&str; 14] = [
+const NO_EFFECT: [&str; 12] = [
     "device",
     "push_to_hub",
     "repo_id",
     "private",
     "license",
     "tags",
-    "pretrained_path",
     "output_dir",
     "job_name",
     "resume",
     "num_workers",
-    "checkpoint_path",
     "transformers_version",
     "_name_or_path",
 ];
@@ -38,7 +36,7 @@ const SUBJECTS: [(&str, &[&str]); 11] = [
     ("cameras", &["camera", "image", "rename_map", "video", "crop", "resize"]),
     ("colours", &["bgr", "rgb", "color", "colour", "channel"]),
     ("instruction", &["tokenizer", "prompt", "instruction", "language", "vocab"]),
-    ("precision", &["dtype", "amp", "precision", "quantiz"]),
+    ("precision", &["dtype", "use_amp", "precision", "quantiz"]),
     ("actions", &["action"]),
     ("state", &["state", "proprio"]),
 ];
@@ -68,11 +66,14 @@ impl Checkpoint {
         found
     }
 
-    /// What a server declares in another way than the settings of this checkpoint say: settings with one name and one number or word
-    /// in both.
-    pub fn contradictions(&self, declared: &Value) -> Vec<String> {
-        let mut stated = BTreeMap::new();
+    /// What a server declares in another way than the settings of this checkpoint say, and than the `judged` server declared it: settings
+    /// with one name and one number or word in both.
+    pub fn contradictions(&self, declared: &Value, judged: &Value) -> Vec<String> {
+        let (mut stated, mut before) = (BTreeMap::new(), BTreeMap::new());
         super::flatten(declared, String::new(), super::MOST_ENTRIES, &mut stated);
+        super::flatten(judged, String::new(), super::MOST_ENTRIES, &mut before);
+        // What the judged server declared too is another thing of the same name.
+        stated.retain(|path, value| before.get(path) != Some(value));
         let last = |path: &str| path.rsplit('.').next().unwrap_or(path).to_owned();
         let mut found = Vec::new();
         for (path, value) in stated.iter().filter(|(path, _)| !has_no_effect(path)) {
@@ -108,8 +109,8 @@ fn equal(a: &Value, b: &Value) -> bool {
 }
 
 fn has_no_effect(path: &str) -> bool {
-    let last = path.rsplit('.').next().unwrap_or(path);
-    NO_EFFECT.contains(&last) || path.starts_with("wandb.")
+    // Lists of tags have a number behind their name.
+    path.starts_with("wandb.") || path.split('.').any(|part| NO_EFFECT.contains(&part))
 }
 
 /// What a difference of a file is about, before its name.
@@ -372,13 +373,19 @@ mod tests {
         write(folder.path());
         let checkpoint = Checkpoint::of(folder.path()).unwrap();
         assert_eq!(
-            checkpoint.contradictions(&json!({ "n_action_steps": 50.0, "device": "cpu", "shape": 3, "other": 1 })),
+            checkpoint.contradictions(
+                &json!({ "n_action_steps": 50.0, "device": "cpu", "shape": 3, "other": 1 }),
+                &Value::Null
+            ),
             [""; 0]
         );
         assert_eq!(
-            checkpoint.contradictions(&json!({ "policy": { "n_action_steps": 10 } })),
+            checkpoint.contradictions(&json!({ "policy": { "n_action_steps": 10 } }), &Value::Null),
             ["the server declares policy.n_action_steps = 10, and config.json has 50"]
         );
+        // The judged server declared it, too.
+        let declared = json!({ "action": { "type": "delta" } });
+        assert_eq!(checkpoint.contradictions(&declared, &declared), [""; 0]);
     }
 
     #[test]

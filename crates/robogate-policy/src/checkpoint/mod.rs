@@ -111,7 +111,10 @@ impl Checkpoint {
         let mut files = BTreeMap::new();
         if path.is_dir() {
             list(path, "", 0, &mut files)?;
-        } else {
+        } else if fs::metadata(path)
+            .map_err(|source| CheckpointError::Io { path: path.display().to_string(), source })?
+            .is_file()
+        {
             let name = path.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
             files.insert(name, path.to_owned());
         }
@@ -128,7 +131,12 @@ impl Checkpoint {
                 && let Some(tensors) = safetensors::read(&file, left).map_err(io)?
             {
                 left -= tensors.len().min(left);
-                found.tensors.entry(set(&name)).or_default().extend(tensors);
+                let known = found.tensors.entry(set(&name)).or_default();
+                for (tensor, content) in tensors {
+                    // Two parts with one name: both count.
+                    let unique = if known.contains_key(&tensor) { format!("{tensor} in {name}") } else { tensor };
+                    known.insert(unique, content);
+                }
                 continue;
             }
             // The index of a checkpoint in several files says where the tensors lie, and not what they are.
@@ -193,6 +201,9 @@ fn list(
                 return Err(CheckpointError::Folder { path: folder.display().to_string(), reason });
             }
             list(&path, &format!("{prefix}{name}/"), depth + 1, files)?;
+        } else if own.is_symlink() && path.is_dir() {
+            let reason = format!("{prefix}{name} is a link to a folder, whose files would not be compared");
+            return Err(CheckpointError::Folder { path: folder.display().to_string(), reason });
         } else if !own.is_dir() && belongs(&name) && path.is_file() {
             files.insert(format!("{prefix}{name}"), path);
         }
@@ -207,7 +218,9 @@ fn list(
 /// Whether a file can have an effect on a policy.
 fn belongs(name: &str) -> bool {
     let lower = name.to_lowercase();
-    let is_text = ["readme", "license", "notice", "events.out.tfevents"].iter().any(|start| lower.starts_with(start));
+    let stem = lower.strip_suffix(".txt").unwrap_or(&lower);
+    let is_text =
+        ["readme", "license", "licence", "notice"].contains(&stem) || lower.starts_with("events.out.tfevents");
     !is_text && !lower.ends_with(".md") && !lower.ends_with(".log")
 }
 

@@ -94,14 +94,13 @@ impl Interpreter {
     }
 
     /// Starts the command `python -m robogate_eval.environments VERB ARGUMENTS`, as the process with this number. Python's hashes of texts
-    /// have a seed of their own in each process, so the check of repeated episodes always finds an environment that depends on them, for
-    /// example by the order of a set.
+    /// have a seed of their own in each process, so the check of repeated episodes in another process finds an environment that depends on
+    /// them, for example by the order of a set.
     pub(crate) fn start(&self, verb: &str, arguments: &[impl AsRef<OsStr>], number: usize) -> io::Result<Process> {
         let mut command = self.command(verb);
         command.args(arguments);
-        if std::env::var_os("PYTHONHASHSEED").is_none() {
-            command.env("PYTHONHASHSEED", number.to_string());
-        }
+        const HASHES: &str = "PYTHONHASHSEED";
+        command.env(HASHES, std::env::var_os(HASHES).unwrap_or_else(|| number.to_string().into()));
         let Some(sandbox) = &self.sandbox else { return Ok(Process::new(command.spawn()?, None)) };
         let (mut inside, scratch) = sandbox.around(&command)?;
         Ok(Process::new(inside.spawn()?, Some(scratch)))

@@ -163,8 +163,17 @@ fn refused() -> anyhow::Result<Calls> {
         // Memory and messages that any process can share. `shm_open` is a file.
         libc::SYS_shmget,
         libc::SYS_shmat,
+        libc::SYS_shmctl,
         libc::SYS_msgget,
+        libc::SYS_msgsnd,
+        libc::SYS_msgrcv,
+        libc::SYS_msgctl,
         libc::SYS_semget,
+        libc::SYS_semop,
+        libc::SYS_semtimedop,
+        libc::SYS_semctl,
+        libc::SYS_mq_open,
+        libc::SYS_mq_unlink,
         // System calls that bypass this filter, or have had many defects.
         libc::SYS_io_uring_setup,
         libc::SYS_io_uring_enter,
@@ -221,16 +230,22 @@ fn refused() -> anyhow::Result<Calls> {
     let (own, thread) = (u64::from(id()), libc::CLONE_THREAD as u64);
     let fast_open = libc::MSG_FASTOPEN as u64;
     let other = |argument: u8| [(argument, SeccompCmpOp::Ne, 0), (argument, SeccompCmpOp::Ne, own)];
-    let conditional: [(i64, &[Condition]); 10] = [
+    let conditional: [(i64, &[Condition]); 16] = [
         // A new process. Threads are allowed.
         (libc::SYS_clone, &[(0, SeccompCmpOp::MaskedEq(thread), 0)]),
         // Signals and limits of other processes.
         (libc::SYS_kill, &other(0)),
         (libc::SYS_tgkill, &[(0, SeccompCmpOp::Ne, own)]),
         (libc::SYS_prlimit64, &other(0)),
-        // Priorities of other processes. The first argument 1 is a process.
+        // Priorities and processors of other processes, of groups and of users.
+        (libc::SYS_setpriority, &[(0, SeccompCmpOp::Ne, u64::from(libc::PRIO_PROCESS))]),
         (libc::SYS_setpriority, &other(1)),
+        (libc::SYS_ioprio_set, &[(0, SeccompCmpOp::Ne, 1)]),
         (libc::SYS_ioprio_set, &other(1)),
+        (libc::SYS_sched_setaffinity, &other(0)),
+        (libc::SYS_sched_setscheduler, &other(0)),
+        (libc::SYS_sched_setparam, &other(0)),
+        (libc::SYS_sched_setattr, &other(0)),
         (libc::SYS_setpgid, &[(1, SeccompCmpOp::Ne, 0)]),
         // Data that connect a socket.
         (libc::SYS_sendto, &[(3, SeccompCmpOp::MaskedEq(fast_open), fast_open)]),
@@ -241,7 +256,8 @@ fn refused() -> anyhow::Result<Calls> {
         let conditions = conditions.iter().map(|(argument, compare, value)| {
             SeccompCondition::new(*argument, SeccompCmpArgLen::Dword, compare.clone(), *value)
         });
-        calls.insert(call, vec![SeccompRule::new(conditions.collect::<Result<_, _>>()?)?]);
+        // A call is refused if any of its rules applies.
+        calls.entry(call).or_default().push(SeccompRule::new(conditions.collect::<Result<_, _>>()?)?);
     }
     Ok(with_x32(calls))
 }

@@ -172,20 +172,39 @@ impl Packages {
     }
 }
 
+/// Adds what is written to a digest.
+struct DigestWriter<'a>(&'a mut Sha256);
+
+impl std::io::Write for DigestWriter<'_> {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        self.0.update(bytes);
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
+}
+
 /// Adds the content of a wheel, or of a folder that pip builds: names and bytes of its files. What Python and version control write there
 /// is left out.
 fn content(path: &Path, digest: &mut Sha256, depth: usize) -> anyhow::Result<()> {
     /// The deepest folder. Deeper files are not part of a package.
     const DEEPEST: usize = 16;
     if !path.is_dir() {
-        digest.update(fs::read(path)?);
+        if !path.is_file() {
+            anyhow::bail!("neither a file nor a folder");
+        }
+        std::io::copy(&mut fs::File::open(path)?, &mut DigestWriter(digest))?;
         return Ok(());
     }
     let mut entries: Vec<_> = fs::read_dir(path)?.collect::<std::io::Result<_>>()?;
     entries.sort_by_key(std::fs::DirEntry::file_name);
     for entry in entries {
         let name = entry.file_name().to_string_lossy().into_owned();
-        let written = name == "__pycache__" || name.starts_with('.') || name.ends_with(".egg-info") || name == "build";
+        let written = ["__pycache__", ".git", ".hg", ".venv", ".tox"].contains(&&*name)
+            || name.ends_with(".egg-info")
+            || (depth == 0 && name == "build");
         // A link may lead back to this folder.
         let leads = entry.file_type()?.is_symlink() && entry.path().is_dir();
         if written || leads || depth == DEEPEST {

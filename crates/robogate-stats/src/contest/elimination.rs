@@ -132,7 +132,8 @@ impl Elimination {
     }
 
     /// The same contest with ordered scores from 0 to `top`, of which `top` is a success. A policy wins a block with the higher score: the
-    /// test compares how often each policy gets further than the other one. Call it before the first look.
+    /// test compares how often each policy gets further than the other one. The best policy is then one that no other one gets further than
+    /// more often; if there is none, because they go round in a circle, the guarantee says nothing. Call it before the first look.
     #[must_use]
     pub fn with_top(self, top: u32) -> Self {
         Self { top: top.max(1), ..self }
@@ -179,7 +180,11 @@ impl Elimination {
                 }
             }
         }
-        let out: Vec<Dropped> = left.iter().filter_map(|&policy| self.beaten(policy, &left)).collect();
+        let mut out: Vec<Dropped> = left.iter().filter_map(|&policy| self.beaten(policy, &left)).collect();
+        // With scores each of three policies can get further than the next one. Then none of them is the best.
+        if out.len() == left.len() {
+            out.clear();
+        }
         for dropped in &out {
             self.dropped[dropped.policy] = Some(*dropped);
         }
@@ -472,6 +477,18 @@ mod tests {
             left += u64::from(equal.best_set().len() == 1);
         }
         assert!(left <= 55, "{left} of 400");
+    }
+
+    #[test]
+    fn circle_of_policies_drops_none() {
+        let mut contest =
+            Elimination::new(3, Schedule { per_look: 60, looks: 6 }, Guarantee::BestStays, 0.05).unwrap().with_top(3);
+        let circle = [[3_u32, 2, 1], [2, 1, 3], [1, 3, 2]];
+        let blocks: Vec<Vec<Option<u32>>> = (0..60).map(|at| circle[at % 3].map(Some).to_vec()).collect();
+        while !contest.is_over() {
+            contest.look(&blocks).unwrap();
+        }
+        assert_eq!(contest.best_set(), [0, 1, 2]);
     }
 
     #[test]

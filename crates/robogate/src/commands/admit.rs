@@ -151,7 +151,9 @@ impl Admit {
         };
         let (profile, access) = (Arc::new(judged.profile.clone()), self.access.choice().access()?);
         let asked = ExternalPolicy::connect_with(policy, profile, access, &mut |_| {}).and_then(|mut policy| {
-            differences.extend(files.iter().flat_map(|files| files.recorded.contradictions(policy.declared())));
+            differences.extend(
+                files.iter().flat_map(|files| files.recorded.contradictions(policy.declared(), &judged.declared)),
+            );
             admit(judged, &mut policy)
         });
         let mut admission = match asked {

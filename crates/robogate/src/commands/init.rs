@@ -22,6 +22,7 @@ use robogate_stats::format::number;
 use crate::commands::run::{How, free_folder, interrupted, write_report};
 use crate::exit::{DONE, Exit, FAIL, OrExit, USAGE};
 use crate::interface;
+use crate::number;
 use crate::terminal::{bold, foreign, line, note};
 use drafts::Drafts;
 
@@ -43,7 +44,7 @@ pub(crate) struct Init {
     #[arg(long, value_name = "SHARE", value_parser = ask::share)]
     success: Option<f64>,
     /// Allow at most this number of collisions in a thousand cycles; default: no requirement
-    #[arg(long, value_name = "N", value_parser = ask::figure)]
+    #[arg(long, value_name = "N", value_parser = number::positive)]
     collisions_per_thousand: Option<f64>,
     /// Require that a successful cycle takes at most this time on average, such as 20s; default: no requirement
     #[arg(long, value_name = "TIME", value_parser = duration::parse)]
@@ -52,7 +53,7 @@ pub(crate) struct Init {
     #[arg(long, value_name = "NAME|FILE")]
     profile: Option<String>,
     /// Let the robot carry parts of up to this mass, in kg; default: that of the built-in cell
-    #[arg(long, value_name = "KG", value_parser = ask::figure)]
+    #[arg(long, value_name = "KG", value_parser = number::positive)]
     payload: Option<f64>,
     /// Start the environment with this Python interpreter; default: that of `robogate env setup`, otherwise the active python3
     #[arg(long, value_name = "PATH")]

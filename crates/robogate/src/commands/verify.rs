@@ -233,7 +233,7 @@ fn known(population: &Population) -> &'static str {
     let Population::Suite { name, sha256, .. } = population else { return "" };
     let own = name.split(' ').next().and_then(built_in_suite).and_then(Result::ok);
     match own {
-        Some(own) if suite_sha256(&own) != *sha256 => ", which is NOT the built-in suite of this name",
+        Some(own) if suite_sha256(&own) != *sha256 => ", which is NOT the suite of this name in this version",
         _ => "",
     }
 }

@@ -142,6 +142,8 @@ said += [
     library.syscall(425, 8, 0),
     library.shmget(0, 4096, 0o600),
     library.setpriority(0, os.getppid(), 19),
+    library.setpriority(1, 0, 19),
+    library.msgget(0, 0o1600),
 ]
 tempfile.TemporaryFile().write(b"x")
 print("SAID", said, os.environ.get("SECRET_TOKEN"), file=sys.stderr)
@@ -152,7 +154,7 @@ raise RuntimeError("the end of the attempts")
     );
     fs::write(bench.at("world/attempts.py"), attempts + ENVIRONMENT).unwrap();
     let refused = "'PermissionError'";
-    let said = format!("SAID [{}, -1, -1, -1, -1, -1, -1, -1, -1] None", [refused; 8].join(", "));
+    let said = format!("SAID [{}, -1, -1, -1, -1, -1, -1, -1, -1, -1, -1] None", [refused; 8].join(", "));
     let line = format!("run --env world/attempts.py:environment --python {} -n 1 --out run", bench.python.display());
     let told = [
         format!("refused to read {}", key.display()),

@@ -193,11 +193,7 @@ fn equal_seeds_with_other_parameters_are_no_pairs() {
     let (one, two) = (import("one", "seed", 0), import("two", "seed", 17));
     let refused = paired(&one, &two);
     assert_eq!(refused.status.code(), Some(2), "{}", stderr(&refused));
-    assert!(
-        stderr(&refused).contains("most rows with the same source_seed have another humidity"),
-        "{}",
-        stderr(&refused)
-    );
+    assert!(stderr(&refused).contains("rows with the same source_seed have another humidity"), "{}", stderr(&refused));
     let compared = stdout(&robogate(&["compare", &one, &two]));
     assert!(!compared.contains("the same 60 scenarios"), "{compared}");
     // What differs between two trials of one case was not set.

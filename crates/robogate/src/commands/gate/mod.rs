@@ -116,7 +116,7 @@ pub(crate) struct Gate {
     policy: PolicyArguments,
     /// Record the files of the policy behind a server: the folder or file of its checkpoint, which `robogate admit --checkpoint`
     /// compares; default: that of a policy that the environment's process loads (lerobot:, sb3:)
-    #[arg(long, value_name = "PATH", requires = "policy", conflicts_with_all = ["run", "plan"])]
+    #[arg(long, value_name = "PATH", requires = "policy", conflicts_with_all = ["run", "plan", "divide"])]
     checkpoint: Option<PathBuf>,
     #[command(flatten)]
     access: AccessArguments,
@@ -148,7 +148,12 @@ impl Gate {
 
     /// The options of a new run: those of the subject, and those of this command line that a new run also has.
     fn again(&self, subject: Again) -> Again {
-        let own = ["run", "seed", "rounds", "out", "json", "plan", "divide", "register", "write_baseline", "goes_on"];
+        // A baseline run has the scenarios of its own seed.
+        let own = [
+            &["run", "seed", "rounds", "out", "json", "plan", "divide", "register", "write_baseline", "goes_on"][..],
+            if self.baseline.is_some() { &["baseline", "margin"] } else { &[] },
+        ]
+        .concat();
         let scenarios = ["suite", "space", "family", "nominal", "fixed"];
         let elsewhere = [&own[..], &scenarios].concat();
         Again {

@@ -305,8 +305,11 @@ impl Gate {
             }
             None => None,
         };
-        let recorded = self.checkpoint.clone().or_else(|| subject.loaded_checkpoint());
-        let recorded = recorded.map(|path| checkpoint(&path)).transpose()?.map(|checkpoint| checkpoint.to_json());
+        let recorded = match &self.checkpoint {
+            Some(path) => Some(checkpoint(path)?),
+            None => subject.loaded_checkpoint(),
+        };
+        let recorded = recorded.map(|checkpoint| checkpoint.to_json());
         let arms = Arms::of(&dir, &plan, &provenance.space, &subject)?;
         let mut rounds = Rounds::new(&dir, asked, rival, other.record.map(|(_, record)| record), record);
         let completion = self.how.carry(&dir, &subject, |executor, events| {

@@ -8,6 +8,7 @@ use robogate_core::budget::Budget;
 use robogate_policy::{Profile, dialects_at};
 use robogate_session::init::{Thing, Wanted};
 
+use crate::number::positive;
 use crate::terminal::{foreign, line};
 
 /// The required success rate where the user says none.
@@ -19,14 +20,8 @@ pub(super) fn share(text: &str) -> Result<f64, String> {
         Some(number) => (number, 0.01),
         None => (text, 1.0),
     };
-    let share = scale * figure(number)?;
+    let share = scale * positive(number)?;
     if share < 1.0 { Ok(share) } else { Err("expected less than 100 %, such as 90%".to_owned()) }
-}
-
-/// Reads a number above 0.
-pub(super) fn figure(text: &str) -> Result<f64, String> {
-    let number: f64 = text.trim().parse().map_err(|_| format!("`{text}` is not a number"))?;
-    if number.is_finite() && number > 0.0 { Ok(number) } else { Err("expected a number above 0".to_owned()) }
 }
 
 /// Whether the user can be asked: sees questions and can type.
@@ -54,11 +49,11 @@ fn question<T>(text: &str, read: impl Fn(&str) -> Result<T, String>) -> anyhow::
 pub(super) fn wanted(collides: bool) -> anyhow::Result<Wanted> {
     let success = question("What share of the cycles must succeed? [90%]", share)?.unwrap_or(SUCCESS);
     let collisions = if collides {
-        question("How many collisions in a thousand cycles are allowed? [no requirement]", figure)?
+        question("How many collisions in a thousand cycles are allowed? [no requirement]", positive)?
     } else {
         None
     };
-    let cycle_time_s = question("How many seconds may a cycle take on average? [no requirement]", figure)?;
+    let cycle_time_s = question("How many seconds may a cycle take on average? [no requirement]", positive)?;
     Ok(Wanted { success, collisions, cycle_time_s })
 }
 
@@ -119,6 +114,6 @@ mod tests {
     #[test]
     fn figures_have_plain_forms() {
         assert_eq!((share("90%"), share("92.5 %"), share("0.9")), (Ok(0.9), Ok(0.925), Ok(0.9)));
-        assert!(share("90").unwrap_err().contains("such as 90%") && share("-1%").is_err() && figure("inf").is_err());
+        assert!(share("90").unwrap_err().contains("such as 90%") && share("-1%").is_err() && positive("inf").is_err());
     }
 }

@@ -44,6 +44,9 @@ impl Rank {
         if self.plan && self.out.is_some() {
             return Err(anyhow!("--plan writes nothing\nHint: leave out --out, or --plan")).or_usage();
         }
+        if self.plan && self.outcome() == RankingOutcome::Stage {
+            return Err(anyhow!("--plan states figures for success\nHint: leave out --by")).or_usage();
+        }
         if self.policies.len() < 2 {
             return Err(anyhow!("one policy has no rank\nHint: give two or more policies")).or_usage();
         }
