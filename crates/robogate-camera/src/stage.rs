@@ -1,7 +1,9 @@
 //! A scene as the cameras store it.
 
-use nalgebra::{Isometry3, Vector3};
-use robogate_physics::{FixtureKind, Primitive, Scene, Visual, WORKSPACE_CENTRE};
+use std::sync::Arc;
+
+use nalgebra::{Isometry3, Translation3, Vector3};
+use robogate_physics::{FixtureKind, Part, Primitive, Scene, Visual, WORKSPACE_CENTRE};
 
 use crate::Posture;
 use crate::body::{Body, Form};
@@ -9,6 +11,7 @@ use crate::caster::{Picture, Room};
 use crate::finish::{Finish, Pattern};
 use crate::light::{Light, color, linear};
 use crate::looks::RobotLooks;
+use crate::mesh::Mesh;
 use crate::pinhole::Pinhole;
 use crate::shadow::Shadows;
 use crate::table;
@@ -43,9 +46,36 @@ pub(crate) struct Prop {
     pub(crate) with: With,
     /// The pose in that body's frame.
     place: Isometry3<f64>,
+    /// The index of its shape among those of the body.
+    pub(crate) part: usize,
 }
 
 impl Prop {
+    /// Adds the look of a shape. The first piece of a mesh looks like the mesh, the others are not seen.
+    fn add(props: &mut Vec<Self>, shape: &Part, (with, part): (With, usize), finish: Finish) {
+        let place = match with {
+            // The pose of a fixture is that of its only shape.
+            With::Fixture(_) | With::Table(_) => Isometry3::identity(),
+            With::Object | With::Other(_) => shape.pose,
+        };
+        let form = match &shape.primitive {
+            Primitive::Box { half } => Form::Box { half: half.map(|x| x as f32) },
+            Primitive::Cylinder { radius, half_height } => {
+                Form::Cylinder { radius: *radius as f32, half_height: *half_height as f32 }
+            }
+            Primitive::Sphere { radius } => Form::Sphere { radius: *radius as f32 },
+            Primitive::Hull(hull) => {
+                let corners: Vec<_> = hull.mesh().into_iter().flat_map(|mesh| mesh.corners()).collect();
+                let triangles: Vec<_> = corners.iter().map(|triangle| triangle.map(|corner| corner.coords)).collect();
+                let Some((mesh, centre)) = Mesh::new(&triangles) else { return };
+                let place = place * Translation3::from(centre);
+                props.push(Self { form: Form::Mesh(Arc::new(mesh)), finish, with, place, part });
+                return;
+            }
+        };
+        props.push(Self { form, finish, with, place, part });
+    }
+
     /// The shape.
     pub(crate) fn form(&self) -> &Form {
         &self.form
@@ -89,17 +119,16 @@ impl Stage {
                 FixtureKind::Occluder => (With::Fixture(i), Finish::new([122, 134, 140], 0.4)),
                 FixtureKind::Disturbance => (With::Fixture(i), Finish::new([236, 184, 22], 0.3).with(Pattern::Hazard)),
             };
-            props.push(Prop { form: form(&fixture.part.primitive), finish, with, place: Isometry3::identity() });
+            Prop::add(&mut props, &fixture.part, (with, 0), finish);
         }
-        for part in &scene.object.parts {
+        for (part, shape) in scene.object.parts.iter().enumerate() {
             let mut finish = Finish::new(visual.object_color.0, 0.55);
             finish.transparency = visual.object_transparency;
-            props.push(Prop { form: form(&part.primitive), finish, with: With::Object, place: part.pose });
+            Prop::add(&mut props, shape, (With::Object, part), finish);
         }
         for (i, body) in scene.others.iter().enumerate() {
-            for part in &body.object.parts {
-                let finish = Finish::new(body.color.0, 0.55);
-                props.push(Prop { form: form(&part.primitive), finish, with: With::Other(i), place: part.pose });
+            for (part, shape) in body.object.parts.iter().enumerate() {
+                Prop::add(&mut props, shape, (With::Other(i), part), Finish::new(body.color.0, 0.55));
             }
         }
         Self {
@@ -173,15 +202,5 @@ impl Stage {
             object: &object,
             exhaustive,
         })
-    }
-}
-
-fn form(primitive: &Primitive) -> Form {
-    match *primitive {
-        Primitive::Box { half } => Form::Box { half: half.map(|x| x as f32) },
-        Primitive::Cylinder { radius, half_height } => {
-            Form::Cylinder { radius: radius as f32, half_height: half_height as f32 }
-        }
-        Primitive::Sphere { radius } => Form::Sphere { radius: radius as f32 },
     }
 }

@@ -17,12 +17,15 @@ mod friction;
 #[cfg(feature = "mujoco")]
 mod grasp;
 mod gripper_command;
+mod hull;
 mod includes;
 #[cfg(feature = "mujoco")]
 mod inspect;
 mod joint;
 mod kinematics;
 mod mass;
+mod mesh;
+mod mesh_file;
 #[cfg(feature = "mujoco")]
 mod mesh_files;
 #[cfg(feature = "mujoco")]
@@ -63,9 +66,12 @@ pub use grasp::{Grasp, test_grasps};
 pub use gripper_command::GripperCommand;
 #[cfg(feature = "mujoco")]
 pub use inspect::{Inspection, Measured, inspect};
+pub use hull::{Hull, MOST_PIECES, Pieces};
 pub use joint::{Joint, JointKind};
 pub use kinematics::{Chain, ChainJoint, Unreachable};
 pub use mass::MassProperties;
+pub use mesh::{Bulk, Mesh};
+pub use mesh_file::{MeshProblem, Triangles};
 #[cfg(feature = "mujoco")]
 pub use model::MujocoModel;
 pub use motion::Motion;

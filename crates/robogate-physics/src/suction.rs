@@ -165,12 +165,13 @@ fn enters(primitive: &Primitive, from: &Point3<f64>, direction: &Vector3<f64>) -
         root.is_finite().then(|| ((-b - root) / a, (-b + root) / a))
     };
     let flat = |v: Vector3<f64>| Vector3::new(v.x, v.y, 0.0);
-    let (enter, leave) = match *primitive {
+    let (enter, leave) = match primitive {
         Primitive::Box { half } => overlap(overlap(slab(0, half[0])?, slab(1, half[1])?), slab(2, half[2])?),
         Primitive::Cylinder { radius, half_height } => {
-            overlap(within(flat(from.coords), flat(*direction), radius)?, slab(2, half_height)?)
+            overlap(within(flat(from.coords), flat(*direction), *radius)?, slab(2, *half_height)?)
         }
-        Primitive::Sphere { radius } => within(from.coords, *direction, radius)?,
+        Primitive::Sphere { radius } => within(from.coords, *direction, *radius)?,
+        Primitive::Hull(hull) => hull.along(from, direction)?,
     };
     (enter <= leave && enter >= 0.0).then_some(enter)
 }

@@ -164,8 +164,11 @@ impl<'a> Cell<'a> {
             let half = part.primitive.half_extent();
             origin || local.x.abs() <= half[0] && local.y.abs() <= half[1]
         };
-        let under: Vec<_> = shapes.iter().filter(over).copied().collect();
-        let [low, high] = heights(if under.is_empty() { shapes } else { &under });
+        let [low, high] = if shapes.iter().any(|part| over(&part)) {
+            heights(shapes.iter().filter(over))
+        } else {
+            heights(shapes.iter())
+        };
         Vector3::new(at.x, at.y, at.z - place.point.z + low + grasp_height(gripper, high - low))
     }
 }
@@ -285,9 +288,8 @@ impl<'a> Plan<'a> {
         let closing = rotation * Vector3::y();
         let across = self.frame(place.on).rotation.inverse() * closing;
         let reach = |part: &robogate_physics::Part| {
-            let (local, half) = (part.pose.rotation.inverse() * across, part.primitive.half_extent());
-            let half: f64 = (0..3).map(|axis| (local[axis] * half[axis]).abs()).sum();
-            part.pose.translation.vector.dot(&across).abs() + half
+            let (local, at) = (part.pose.rotation.inverse() * across, part.pose.translation.vector.dot(&across));
+            part.primitive.extent(&local).into_iter().map(|end| (at + end).abs()).fold(0.0, f64::max)
         };
         let half = self.cell.numbers.parts[of].shapes.iter().map(reach).fold(0.0, f64::max);
         -closing * jaw.beside_m(2.0 * half)

@@ -22,7 +22,7 @@ impl Acting<'_, Told> {
         self.found.engine.fixtures.iter().filter(move |read| {
             self.settings.cell.scene.fixtures.get(read.fixture).is_some_and(|fixture| {
                 fixture.kind == kind
-                    && read.primitive.is_some_and(|primitive| same_primitive(&fixture.part.primitive, &primitive))
+                    && read.primitive.as_ref().is_some_and(|primitive| same_primitive(&fixture.part.primitive, primitive))
                     && same_pose(&fixture.part.pose, &read.pose)
             })
         })
@@ -135,7 +135,7 @@ pub(super) fn obstacle_gap(context: &Context<'_>) -> f64 {
         });
     let gaps = obstacles.flat_map(|read| {
         let at = read.pose.translation.vector.xy();
-        let radius = read.primitive.map_or(f64::NAN, footprint);
+        let radius = read.primitive.as_ref().map_or(f64::NAN, footprint);
         areas.map(|(centre, area)| (at - centre).norm() - area - radius)
     });
     let requested = context.settings.cell.parameters.obstacle_gap_m;
@@ -144,10 +144,13 @@ pub(super) fn obstacle_gap(context: &Context<'_>) -> f64 {
 }
 
 /// Radius of the bounding circle of a primitive's footprint, in metres.
-fn footprint(primitive: Primitive) -> f64 {
+fn footprint(primitive: &Primitive) -> f64 {
     match primitive {
-        Primitive::Box { half: [x, y, _] } => x.hypot(y),
-        Primitive::Cylinder { radius, .. } | Primitive::Sphere { radius } => radius,
+        Primitive::Cylinder { radius, .. } | Primitive::Sphere { radius } => *radius,
+        _ => {
+            let [x, y, _] = primitive.half_extent();
+            x.hypot(y)
+        }
     }
 }
 
