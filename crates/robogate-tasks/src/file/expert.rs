@@ -181,6 +181,8 @@ struct Plan<'a> {
     gripper: GripperCommand,
     /// The part in the hand, with its pose in the frame of the tool.
     in_hand: Option<(usize, Isometry3<f64>)>,
+    /// By how many quarters it may be turned where it is put down.
+    quarters: usize,
     /// The fixture that carries each part. The layout has the pose that such a part would have had at the start.
     carriers: Vec<Option<usize>>,
     /// What the tool moves with, and the control period from which on it does.
@@ -194,7 +196,7 @@ impl<'a> Plan<'a> {
         let planner = Planner::new(cell.robot, chain, CONTROL_PERIOD_S);
         let carriers = cell.model.parents();
         let (gripper, in_hand, tracked, over) = (GripperCommand::Open, None, None, Frame::World);
-        Self { cell, chain, planner, gripper, in_hand, carriers, tracked, over }
+        Self { cell, chain, planner, gripper, in_hand, quarters: 1, carriers, tracked, over }
     }
 
     fn number(&self, value: &Value) -> f64 {
@@ -389,6 +391,8 @@ impl<'a> Plan<'a> {
                 self.grip(phase, GripperCommand::Close)?;
                 if let Frame::Part(of) = place.on {
                     self.in_hand = Some((of, self.tool().inverse() * self.frame(place.on)));
+                    // A part with a direction in which fingers close is not the same after a quarter turn.
+                    self.quarters = if place.close_rad.is_some() { 2 } else { 1 };
                     self.carriers[of] = None;
                 }
             }
@@ -495,7 +499,7 @@ impl<'a> Plan<'a> {
         self.planner.straight(phase, &[raised(&self.tool()), poses[chosen]], limit, self.gripper)
     }
 
-    /// The poses of the tool in which the part in the hand is at a height above a place, with its yaw or a quarter turn of it.
+    /// The poses of the tool in which the part in the hand is at a height above a place, with its yaw or some quarter turns of it.
     fn turned(&self, place: &Place, height: f64) -> Vec<Isometry3<f64>> {
         let frame = self.cell.at(place, &self.frame(place.on));
         let goal = frame.translation.vector + Vector3::new(0.0, 0.0, height);
@@ -508,7 +512,7 @@ impl<'a> Plan<'a> {
             let offset = rotation * part.translation.vector;
             Isometry3::from_parts(Translation3::from(goal - offset), rotation)
         };
-        (0..4).map(pose).collect()
+        (0..4).step_by(self.quarters).map(pose).collect()
     }
 
     /// Brings the part in the hand to a height above a place, with the yaw of the place or a quarter turn of it.
