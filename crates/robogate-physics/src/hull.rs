@@ -157,7 +157,8 @@ fn merge(shells: &mut Vec<Shell>, most: usize, whole: f64) {
         costs.push(shells[..index].iter().map(|other| cost(other, shell)).collect());
     }
     loop {
-        let pairs = costs.iter().enumerate().flat_map(|(i, row)| row.iter().enumerate().map(move |(j, cost)| (*cost, i, j)));
+        let pairs =
+            costs.iter().enumerate().flat_map(|(i, row)| row.iter().enumerate().map(move |(j, cost)| (*cost, i, j)));
         let Some((least, i, j)) = pairs.min_by(|a, b| a.0.total_cmp(&b.0)) else { return };
         if shells.len() <= most && least > 0.1 * CONVEX * whole {
             return;
@@ -182,7 +183,8 @@ fn distance(mesh: &Mesh, shells: &[Shell]) -> f64 {
     let within = |point: &Vector, but: Option<usize>| {
         shells.iter().enumerate().any(|(index, shell)| Some(index) != but && shell.height(point) <= 1e-6 * size)
     };
-    let solid = |points: Vec<Vector>, faces: Vec<[u32; 3]>| TriMesh::with_flags(points, faces, TriMeshFlags::ORIENTED).ok();
+    let solid =
+        |points: Vec<Vector>, faces: Vec<[u32; 3]>| TriMesh::with_flags(points, faces, TriMeshFlags::ORIENTED).ok();
     let (mut points, mut faces) = (Vec::new(), Vec::new());
     for shell in shells {
         let first = points.len() as u32;

@@ -64,9 +64,9 @@ pub use finger_motion::FingerMotion;
 #[cfg(feature = "mujoco")]
 pub use grasp::{Grasp, test_grasps};
 pub use gripper_command::GripperCommand;
+pub use hull::{Hull, MOST_PIECES, Pieces};
 #[cfg(feature = "mujoco")]
 pub use inspect::{Inspection, Measured, inspect};
-pub use hull::{Hull, MOST_PIECES, Pieces};
 pub use joint::{Joint, JointKind};
 pub use kinematics::{Chain, ChainJoint, Unreachable};
 pub use mass::MassProperties;

@@ -237,7 +237,8 @@ mod tests {
     #[test]
     fn meshes_are_read_as_stl_and_obj() {
         let nine: Vec<f64> = (1..10).map(f64::from).collect();
-        let text = "solid\nfacet normal 0 0 1\nouter loop\nvertex 1 2 3\nvertex 4 5 6\nvertex 7 8 9\nendloop\nendfacet\n";
+        let text =
+            "solid\nfacet normal 0 0 1\nouter loop\nvertex 1 2 3\nvertex 4 5 6\nvertex 7 8 9\nendloop\nendfacet\n";
         for bytes in [&stl()[..], b"v 1 2 3\nvn 0 0 1\nv 4 5 6\nv 7 8 9 1 1 1\nf 1 2 3\n", text.as_bytes()] {
             let read = read(bytes).unwrap();
             assert_eq!((points(&read), read.faces), (nine.clone(), vec![[0, 1, 2]]));

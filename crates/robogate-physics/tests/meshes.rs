@@ -12,7 +12,8 @@ fn prism(outline: &[[f64; 2]], depth: f64) -> String {
     let n = outline.len();
     let ring = |y: f64| outline.iter().map(move |[x, z]| format!("v {x} {y} {z}\n"));
     let mut text: String = ring(-0.5 * depth).chain(ring(0.5 * depth)).collect();
-    let face = |corners: Vec<usize>| corners.iter().fold("f".to_owned(), |text, corner| format!("{text} {corner}")) + "\n";
+    let face =
+        |corners: Vec<usize>| corners.iter().fold("f".to_owned(), |text, corner| format!("{text} {corner}")) + "\n";
     text += &face((1..=n).collect());
     text += &face((n + 1..=2 * n).rev().collect());
     text.extend((0..n).map(|i| face(vec![i + 1, n + i + 1, n + (i + 1) % n + 1, (i + 1) % n + 1])));
@@ -160,12 +161,8 @@ fn shapes_that_are_no_solids_are_refused() {
 
 /// A scene with an object far from the robot's posture.
 fn scene(parts: Vec<Part>, pose: Isometry3<f64>, fixtures: Vec<Part>) -> Scene {
-    let fixture = |(index, part)| Fixture {
-        name: format!("fixture{index}"),
-        kind: FixtureKind::Receptacle,
-        part,
-        motion: None,
-    };
+    let fixture =
+        |(index, part)| Fixture { name: format!("fixture{index}"), kind: FixtureKind::Receptacle, part, motion: None };
     Scene {
         object: Object { mass: MassProperties::homogeneous(&parts, 0.3), parts, joint: None },
         object_pose: pose,
@@ -255,7 +252,11 @@ fn engines_report_poses_of_mesh_fixtures() {
         for (index, piece) in pieces.iter().enumerate() {
             let found = read.fixtures.iter().find(|read| read.fixture == index + 1).unwrap();
             let off = found.pose.inverse() * piece.pose;
-            assert!(off.translation.vector.norm() < 1e-9 && off.rotation.angle() < 1e-7, "{}: {off}", engine.build().name);
+            assert!(
+                off.translation.vector.norm() < 1e-9 && off.rotation.angle() < 1e-7,
+                "{}: {off}",
+                engine.build().name
+            );
         }
     }
 }

@@ -49,13 +49,19 @@ fn beside(folder: &Path, name: &str) -> Result<Vec<u8>, String> {
     };
     let path = folder.join(name).canonicalize().map_err(read)?;
     if !path.starts_with(folder.canonicalize().map_err(read)?) {
-        return Err("it is a link to a file outside of the folder of the task. Copy the file into the folder".to_owned());
+        return Err(
+            "it is a link to a file outside of the folder of the task. Copy the file into the folder".to_owned()
+        );
     }
     if !path.metadata().map_err(read)?.is_file() {
         return Err("it is not a file".to_owned());
     }
     let mut content = Vec::new();
-    std::fs::File::open(path).map_err(read)?.take(MOST_FILE_BYTES as u64 + 1).read_to_end(&mut content).map_err(read)?;
+    std::fs::File::open(path)
+        .map_err(read)?
+        .take(MOST_FILE_BYTES as u64 + 1)
+        .read_to_end(&mut content)
+        .map_err(read)?;
     Ok(content)
 }
 

@@ -6,7 +6,7 @@ mod common;
 use std::fs;
 use std::path::PathBuf;
 
-use robogate_core::{Environment, Outcome, Value, check_applied, rollout};
+use robogate_core::{Environment, Outcome, SolidShape, Value, check_applied, rollout};
 use robogate_tasks::file::{FILE, FileTask, MOST_FILE_BYTES, Problem};
 use robogate_tasks::{ArmDeclaration, ArmEnvironment, ArmTask, Rig};
 
@@ -111,7 +111,11 @@ fn broken_meshes_are_problems_with_lines() {
         (clamp, "{ mesh = \"meshes/clamp.obj\" }", "its largest extent is 92.000 m. Is the file in mm?"),
         (clamp, "{ mesh = \"meshes/clamp.obj\", unit = \"kg\" }", "`kg` is not a unit of length"),
         (clamp, "{ mesh = \"meshes/clamp.obj\", unit = \"inch\" }", "unknown unit `inch`"),
-        (clamp, "{ mesh = \"meshes/clamp.obj\", unit = \"mm\", pieces = 99 }", "`99` is out of range. Expected 1 to 64"),
+        (
+            clamp,
+            "{ mesh = \"meshes/clamp.obj\", unit = \"mm\", pieces = 99 }",
+            "`99` is out of range. Expected 1 to 64",
+        ),
         (clamp, "{ box = \"1, 1, 1 cm\", unit = \"mm\" }", "`unit`, `scale` and `pieces` are keys of a mesh"),
         ("density = \"2.7 g/cm^3\"", "density = \"2.7 g\"", "Expected a density, such as `2.7 g/cm^3`"),
         ("density = \"2.7 g/cm^3\"", "density = \"0.01 g/cm^3\"", "the mass that follows is 6.9"),
@@ -126,7 +130,11 @@ fn broken_meshes_are_problems_with_lines() {
         assert_eq!(found.line, line, "{to}");
     }
     for (from, to, expected) in [
-        (clamp, "{ mesh = \"meshes/clamp.obj\", box = \"1, 1, 1 cm\" }", "exactly one of `box`, `cylinder`, `sphere` and `mesh`"),
+        (
+            clamp,
+            "{ mesh = \"meshes/clamp.obj\", box = \"1, 1, 1 cm\" }",
+            "exactly one of `box`, `cylinder`, `sphere` and `mesh`",
+        ),
         ("density = \"2.7 g/cm^3\"", "density = \"2.7 g/cm^3\"\nmass = \"1 kg\"", "needs either `mass` or `density`"),
         ("density = \"2.7 g/cm^3\"", "", "`clamp` needs either `mass` or `density`"),
     ] {
@@ -156,6 +164,29 @@ fn broken_files_are_problems_of_the_task() {
         let found = with(content);
         assert!(found.contains("line 24: meshes/clamp.obj: ") && found.contains(&expected), "{expected}: {found}");
     }
+}
+
+/// Pages and cameras show the meshes, not their pieces.
+#[test]
+fn meshes_are_drawn() {
+    let task = read(&text()).unwrap();
+    let mut environment = environment(&task, EngineKind::Mujoco, "franka");
+    environment.record_trajectory(Some(0.1));
+    let mut expert = task.controller(EngineKind::Mujoco.robot("franka").robot, environment.engine().chain().clone());
+    rollout(&mut environment, &mut *expert, &scenario(0, &[]));
+    let trajectory = environment.take_trajectory().unwrap();
+    let drawn: Vec<(&str, usize, [u8; 3])> = trajectory
+        .solids
+        .iter()
+        .filter_map(|solid| match &solid.shape {
+            SolidShape::Mesh { triangles } => Some((&*trajectory.bodies[solid.body], triangles.len(), solid.color)),
+            _ => None,
+        })
+        .filter(|(body, ..)| !body.starts_with("robot/"))
+        .collect();
+    assert_eq!(drawn.len(), 2, "{drawn:?}");
+    assert_eq!((drawn[0].0, drawn[0].1), ("bed.1", 48));
+    assert_eq!(drawn[1], ("object", 104, [200, 60, 40]));
 }
 
 /// Only an engine of this process simulates meshes.

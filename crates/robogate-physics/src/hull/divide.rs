@@ -299,4 +299,3 @@ impl<'a> Side<'a> {
         self.surface.push((polygon, outward));
     }
 }
-

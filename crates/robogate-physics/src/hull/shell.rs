@@ -141,4 +141,3 @@ pub(super) fn signed_volume(points: &[Vector], faces: &[[u32; 3]]) -> f64 {
     };
     faces.iter().map(sixth).sum()
 }
-

@@ -10,7 +10,8 @@ use super::document::{ShapeTable, Text};
 use super::model::Reading;
 use super::units::Dimension;
 
-/// The largest number of bytes of all files of a task together, and of triangles of one: every record of the task contains the files.
+/// The largest number of bytes and triangles of all files of a task together: every record of the task contains the files, and every
+/// reader of a record divides the meshes.
 pub const MOST_FILE_BYTES: usize = 2 << 20;
 const MOST_TRIANGLES: usize = 50_000;
 
@@ -30,6 +31,8 @@ pub type Find<'a> = &'a mut dyn FnMut(&str) -> Result<Vec<u8>, String>;
 pub(super) struct Meshes<'a> {
     find: Find<'a>,
     pub(super) files: Files,
+    /// The number of triangles so far.
+    triangles: usize,
     /// The pieces of each mesh, by its file, unit, scale and number of pieces.
     known: BTreeMap<(String, u64, usize), Rc<Pieces>>,
     /// What was measured for each mesh.
@@ -38,7 +41,7 @@ pub(super) struct Meshes<'a> {
 
 impl<'a> Meshes<'a> {
     pub(super) fn new(find: Find<'a>) -> Self {
-        Self { find, files: Files::new(), known: BTreeMap::new(), figures: Vec::new() }
+        Self { find, files: Files::new(), triangles: 0, known: BTreeMap::new(), figures: Vec::new() }
     }
 
     /// Reads a file, if it was not read yet.
@@ -67,7 +70,9 @@ impl<'a> Meshes<'a> {
             return Ok(Rc::clone(known));
         }
         self.file(name)?;
-        let read = Triangles::read(&self.files[name], MOST_TRIANGLES).map_err(|why| format!("{name}: {why}"))?;
+        let left = MOST_TRIANGLES - self.triangles;
+        let read = Triangles::read(&self.files[name], left).map_err(|why| format!("{name}: {why}"))?;
+        self.triangles += read.faces.len();
         let mesh = Mesh::new(&read, unit_m).map_err(|why| format!("{name}: {why}"))?;
         let pieces = Rc::new(Pieces::of(&mesh, most).map_err(|why| format!("{name}: {why}"))?);
         let (triangles, count) = (mesh.triangles().count(), pieces.parts.len());

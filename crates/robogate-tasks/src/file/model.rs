@@ -23,6 +23,8 @@ const BUDGET: Budget = Budget { bytes: 64 << 10, values: 1 << 16, depth: 8 };
 /// The largest number of parts, of shapes of all bodies, and of entries of other lists.
 const MOST_PARTS: usize = 16;
 const MOST_SHAPES: usize = 128;
+/// The largest number of convex shapes of all bodies: shapes, and pieces of meshes.
+const MOST_CONVEX: usize = 256;
 const MOST_ENTRIES: usize = 64;
 
 /// Friction coefficient of the parts, if the file states none.
@@ -266,6 +268,12 @@ impl Reading<'_, '_> {
         let fixtures = self.fixtures(&document, &mut nominal);
         // Regions may be in parts, and parts may start in regions: names first.
         let parts = self.parts(&document, &mut nominal);
+        let convex = fixtures.iter().map(|fixture| fixture.shapes.len()).sum::<usize>()
+            + nominal.parts.iter().map(|part| part.shapes.len()).sum::<usize>();
+        if convex > MOST_CONVEX {
+            let what = format!("the bodies have {convex} convex shapes. At most {MOST_CONVEX} are accepted");
+            self.problems.at(0, what, "give meshes fewer `pieces`");
+        }
         self.regions(&document);
         let parts = self.with_starts(&document, parts);
         let parameters = self.parameters(&document, &mut nominal);
@@ -413,7 +421,8 @@ impl Reading<'_, '_> {
         if shape.mesh.is_none() {
             let of_mesh = [&shape.unit, &shape.scale, &shape.pieces].into_iter().flatten().next();
             if let Some(text) = of_mesh {
-                self.problems.of(text, "`unit`, `scale` and `pieces` are keys of a mesh. Leave it out, or name a `mesh`");
+                self.problems
+                    .of(text, "`unit`, `scale` and `pieces` are keys of a mesh. Leave it out, or name a `mesh`");
             }
         }
         let (text, primitive) = match (&shape.cuboid, &shape.cylinder, &shape.sphere, &shape.mesh) {
@@ -435,7 +444,8 @@ impl Reading<'_, '_> {
                 (text, Primitive::Sphere { radius: 0.5 * diameter })
             }
             _ => {
-                self.problems.of(owner, "a shape of this body needs exactly one of `box`, `cylinder`, `sphere` and `mesh`");
+                self.problems
+                    .of(owner, "a shape of this body needs exactly one of `box`, `cylinder`, `sphere` and `mesh`");
                 return None;
             }
         };

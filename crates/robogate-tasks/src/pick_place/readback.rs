@@ -22,7 +22,10 @@ impl Acting<'_, Told> {
         self.found.engine.fixtures.iter().filter(move |read| {
             self.settings.cell.scene.fixtures.get(read.fixture).is_some_and(|fixture| {
                 fixture.kind == kind
-                    && read.primitive.as_ref().is_some_and(|primitive| same_primitive(&fixture.part.primitive, primitive))
+                    && read
+                        .primitive
+                        .as_ref()
+                        .is_some_and(|primitive| same_primitive(&fixture.part.primitive, primitive))
                     && same_pose(&fixture.part.pose, &read.pose)
             })
         })
