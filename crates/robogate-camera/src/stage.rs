@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use nalgebra::{Isometry3, Translation3, Vector3};
-use robogate_physics::{FixtureKind, Part, Primitive, Scene, Visual, WORKSPACE_CENTRE};
+use robogate_physics::{FixtureKind, Hull, Part, Primitive, Scene, Visual, WORKSPACE_CENTRE};
 
 use crate::Posture;
 use crate::body::{Body, Form};
@@ -38,6 +38,23 @@ pub(crate) struct Stage {
     pub(crate) props: Vec<Prop>,
 }
 
+/// The meshes of parts and the centres of their bounding boxes, by the piece that has each: a task has the same ones in every episode.
+#[derive(Debug, Default)]
+pub(crate) struct Meshes(Vec<(Arc<Hull>, Option<(Arc<Mesh>, Vector3<f64>)>)>);
+
+impl Meshes {
+    fn of(&mut self, hull: &Arc<Hull>) -> Option<(Arc<Mesh>, Vector3<f64>)> {
+        let known = self.0.iter().position(|(known, _)| Arc::ptr_eq(known, hull));
+        let index = known.unwrap_or_else(|| {
+            let corners = hull.mesh().into_iter().flat_map(robogate_physics::Mesh::corners);
+            let triangles: Vec<_> = corners.map(|triangle| triangle.map(|corner| corner.coords)).collect();
+            self.0.push((Arc::clone(hull), Mesh::new(&triangles).map(|(mesh, centre)| (Arc::new(mesh), centre))));
+            self.0.len() - 1
+        });
+        self.0[index].1.clone()
+    }
+}
+
 /// A solid and the body that it moves with.
 #[derive(Debug)]
 pub(crate) struct Prop {
@@ -51,8 +68,8 @@ pub(crate) struct Prop {
 }
 
 impl Prop {
-    /// Adds the look of a shape. The first piece of a mesh looks like the mesh, the others are not seen.
-    fn add(props: &mut Vec<Self>, shape: &Part, (with, part): (With, usize), finish: Finish) {
+    /// The look of a shape. The first piece of a mesh looks like the mesh, the others are not seen.
+    fn new(meshes: &mut Meshes, shape: &Part, (with, part): (With, usize), finish: Finish) -> Option<Self> {
         let place = match with {
             // The pose of a fixture is that of its only shape.
             With::Fixture(_) | With::Table(_) => Isometry3::identity(),
@@ -65,15 +82,17 @@ impl Prop {
             }
             Primitive::Sphere { radius } => Form::Sphere { radius: *radius as f32 },
             Primitive::Hull(hull) => {
-                let corners: Vec<_> = hull.mesh().into_iter().flat_map(|mesh| mesh.corners()).collect();
-                let triangles: Vec<_> = corners.iter().map(|triangle| triangle.map(|corner| corner.coords)).collect();
-                let Some((mesh, centre)) = Mesh::new(&triangles) else { return };
-                let place = place * Translation3::from(centre);
-                props.push(Self { form: Form::Mesh(Arc::new(mesh)), finish, with, place, part });
-                return;
+                let (mesh, centre) = meshes.of(hull)?;
+                return Some(Self {
+                    form: Form::Mesh(mesh),
+                    finish,
+                    with,
+                    place: place * Translation3::from(centre),
+                    part,
+                });
             }
         };
-        props.push(Self { form, finish, with, place, part });
+        Some(Self { form, finish, with, place, part })
     }
 
     /// The shape.
@@ -99,7 +118,7 @@ pub(crate) enum With {
 }
 
 impl Stage {
-    pub(crate) fn new(scene: &Scene, front: Isometry3<f64>) -> Self {
+    pub(crate) fn new(scene: &Scene, front: Isometry3<f64>, meshes: &mut Meshes) -> Self {
         let visual = &scene.visual;
         let mut props = Vec::new();
         let mut obstacles = OBSTACLES.iter().cycle();
@@ -119,16 +138,16 @@ impl Stage {
                 FixtureKind::Occluder => (With::Fixture(i), Finish::new([122, 134, 140], 0.4)),
                 FixtureKind::Disturbance => (With::Fixture(i), Finish::new([236, 184, 22], 0.3).with(Pattern::Hazard)),
             };
-            Prop::add(&mut props, &fixture.part, (with, 0), finish);
+            props.extend(Prop::new(meshes, &fixture.part, (with, 0), finish));
         }
         for (part, shape) in scene.object.parts.iter().enumerate() {
             let mut finish = Finish::new(visual.object_color.0, 0.55);
             finish.transparency = visual.object_transparency;
-            Prop::add(&mut props, shape, (With::Object, part), finish);
+            props.extend(Prop::new(meshes, shape, (With::Object, part), finish));
         }
         for (i, body) in scene.others.iter().enumerate() {
             for (part, shape) in body.object.parts.iter().enumerate() {
-                Prop::add(&mut props, shape, (With::Other(i), part), Finish::new(body.color.0, 0.55));
+                props.extend(Prop::new(meshes, shape, (With::Other(i), part), Finish::new(body.color.0, 0.55)));
             }
         }
         Self {

@@ -328,7 +328,7 @@ mod tests {
     fn gap_may_be_negative() {
         let cylinder = Primitive::Cylinder { radius: 0.025, half_height: 0.025 };
         for (primitive, height) in [(cube(0.05), 0.01), (cylinder, 0.002), (ball(0.05), -0.003)] {
-            let gap = view(primitive, [0.0, 0.0], height, 0.0).unwrap().gap_m;
+            let gap = view(primitive.clone(), [0.0, 0.0], height, 0.0).unwrap().gap_m;
             assert!((gap - height).abs() < 1e-12, "{primitive:?}: {gap}");
         }
         assert_eq!(view(cube(0.05), [0.03, 0.0], 0.01, 0.0), None);

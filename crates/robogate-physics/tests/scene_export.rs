@@ -7,8 +7,8 @@ use std::sync::{Arc, Mutex};
 use mujoco_rs::prelude::*;
 use nalgebra::{Isometry3, Vector3};
 use robogate_physics::{
-    Engine, Fixture, FixtureKind, GRAVITY, GripperUnit, JointTargets, MassProperties, Motion, MujocoEngine, Object,
-    Part, Primitive, Scene, Tape, Visual, built_in_robot,
+    Engine, Fixture, FixtureKind, GRAVITY, GripperUnit, JointTargets, MassProperties, Mesh, Motion, MujocoEngine,
+    Object, Part, Pieces, Primitive, Scene, Tape, Triangles, Visual, built_in_robot,
 };
 
 fn scene() -> Scene {
@@ -16,6 +16,10 @@ fn scene() -> Scene {
     let parts = vec![part([0.025; 3])];
     let mut wall = part([0.01, 0.1, 0.1]);
     wall.pose = Isometry3::translation(0.5, -0.3, 0.1);
+    let tetrahedron = b"v 0 0 0\nv 0.1 0 0\nv 0 0.1 0\nv 0 0 0.1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n";
+    let mesh = Mesh::new(&Triangles::read(tetrahedron, 4).unwrap(), 1.0).unwrap();
+    let mut piece = Pieces::of(&mesh, 1).unwrap().parts.remove(0);
+    piece.pose.translation.vector += Vector3::new(0.45, -0.02, 0.0);
     let motion = Motion::Straight { velocity: Vector3::new(0.0, 0.2, 0.0), starts_s: 0.01, ends_s: 0.5 };
     Scene {
         object: Object { mass: MassProperties::homogeneous(&parts, 0.3), parts, joint: None },
@@ -28,6 +32,7 @@ fn scene() -> Scene {
         fixtures: vec![
             Fixture::table(),
             Fixture { name: "wall".to_owned(), kind: FixtureKind::Obstacle, part: wall, motion: Some(motion) },
+            Fixture { name: "piece".to_owned(), kind: FixtureKind::Receptacle, part: piece, motion: None },
         ],
         gravity: GRAVITY,
         marker: None,

@@ -180,7 +180,7 @@ mod tests {
         let scene = &cell.scene;
         let fixtures = scene.fixtures.iter().enumerate().map(|(i, fixture)| FixtureRead {
             fixture: i,
-            primitive: Some(fixture.part.primitive),
+            primitive: Some(fixture.part.primitive.clone()),
             pose: fixture.part.pose,
             motion: fixture.motion,
         });
@@ -192,7 +192,7 @@ mod tests {
             arm_stiffness: Some(scene.arm_stiffness),
             mass_kg: scene.object.mass.mass_kg,
             centre_of_mass: scene.object.mass.centre,
-            parts: scene.object.parts.iter().map(|part| part.primitive).collect(),
+            parts: scene.object.parts.iter().map(|part| part.primitive.clone()).collect(),
             object: scene.object_pose,
             others: Vec::new(),
             fixtures: fixtures.collect(),
