@@ -38,12 +38,15 @@ pub(crate) struct Stage {
     pub(crate) props: Vec<Prop>,
 }
 
-/// The meshes of parts and the centres of their bounding boxes, by the piece that has each: a task has the same ones in every episode.
+/// A mesh about the centre of its bounding box, and that centre.
+type Centred = (Arc<Mesh>, Vector3<f64>);
+
+/// The meshes of parts, by the piece that has each: a task has the same ones in every episode. A piece without one is not seen.
 #[derive(Debug, Default)]
-pub(crate) struct Meshes(Vec<(Arc<Hull>, Option<(Arc<Mesh>, Vector3<f64>)>)>);
+pub(crate) struct Meshes(Vec<(Arc<Hull>, Option<Centred>)>);
 
 impl Meshes {
-    fn of(&mut self, hull: &Arc<Hull>) -> Option<(Arc<Mesh>, Vector3<f64>)> {
+    fn of(&mut self, hull: &Arc<Hull>) -> Option<Centred> {
         let known = self.0.iter().position(|(known, _)| Arc::ptr_eq(known, hull));
         let index = known.unwrap_or_else(|| {
             let corners = hull.mesh().into_iter().flat_map(robogate_physics::Mesh::corners);

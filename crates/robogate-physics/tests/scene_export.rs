@@ -11,6 +11,7 @@ use robogate_physics::{
     Object, Part, Pieces, Primitive, Scene, Tape, Triangles, Visual, built_in_robot,
 };
 
+#[expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 fn scene() -> Scene {
     let part = |half: [f64; 3]| Part { primitive: Primitive::Box { half }, pose: Isometry3::identity() };
     let parts = vec![part([0.025; 3])];
