@@ -8,10 +8,10 @@ use std::sync::Arc;
 use nalgebra::{Isometry3, Point3, Translation3, Vector3};
 use parry3d_f64::math::Vector;
 use parry3d_f64::query::PointQuery;
-use parry3d_f64::shape::{TriMesh, TriMeshFlags};
+use parry3d_f64::shape::TriMesh;
 use robogate_core::guard::guarded;
 
-use self::divide::divide;
+use self::divide::{contains, divide};
 use self::shell::{Shell, signed_volume};
 use crate::mesh::bounds;
 use crate::{Mesh, Part, Primitive};
@@ -117,7 +117,7 @@ impl Pieces {
         }
         merge(&mut shells, most, mesh.bulk().volume_m3);
         let volume = shells.iter().map(|shell| shell.volume).sum::<f64>() / mesh.bulk().volume_m3;
-        let distance_m = distance(mesh, &shells);
+        let distance_m = distance(mesh, &shells)?;
         let mut parts = Vec::with_capacity(shells.len());
         for shell in &shells {
             let (mut hull, centre) = shell.hull();
@@ -177,24 +177,22 @@ fn merge(shells: &mut Vec<Shell>, most: usize, whole: f64) {
 }
 
 /// The largest distance between the surface of a mesh and that of its pieces, where one is outside of the other.
-fn distance(mesh: &Mesh, shells: &[Shell]) -> f64 {
+fn distance(mesh: &Mesh, shells: &[Shell]) -> Option<f64> {
     let [low, high] = bounds(mesh.triangles().flatten().map(|index| &mesh.vertices()[*index as usize]));
     let size = (high - low).max();
     let within = |point: &Vector, but: Option<usize>| {
         shells.iter().enumerate().any(|(index, shell)| Some(index) != but && shell.height(point) <= 1e-6 * size)
     };
-    let solid =
-        |points: Vec<Vector>, faces: Vec<[u32; 3]>| TriMesh::with_flags(points, faces, TriMeshFlags::ORIENTED).ok();
     let (mut points, mut faces) = (Vec::new(), Vec::new());
     for shell in shells {
         let first = points.len() as u32;
         points.extend(&shell.points);
         faces.extend(shell.faces.iter().map(|face| face.corners.map(|index| index + first)));
     }
-    let surface = solid(points, faces);
-    let vertices = mesh.vertices().iter().map(vector).collect();
-    let original = solid(vertices, mesh.triangles().copied().collect());
-    let (Some(surface), Some(original)) = (surface, original) else { return f64::NAN };
+    let surface = TriMesh::new(points, faces).ok()?;
+    let vertices: Vec<Vector> = mesh.vertices().iter().map(vector).collect();
+    let faces: Vec<[u32; 3]> = mesh.triangles().copied().collect();
+    let original = TriMesh::new(vertices.clone(), faces.clone()).ok()?;
     let triangles = |shell: &Shell| {
         let corners = shell.faces.iter().map(|face| face.corners.map(|index| shell.points[index as usize]));
         corners.collect::<Vec<_>>()
@@ -211,13 +209,13 @@ fn distance(mesh: &Mesh, shells: &[Shell]) -> f64 {
             if within(point, Some(index)) {
                 return;
             }
-            let projection = original.project_local_point(*point, false);
-            if !projection.is_inside {
-                farthest = farthest.max((projection.point - *point).length());
+            let off = original.project_local_point(*point, false).point.distance(*point);
+            if off > farthest && !contains(&vertices, &faces, point) {
+                farthest = off;
             }
         });
     }
-    farthest
+    Some(farthest)
 }
 
 /// Points on triangles, evenly spaced.

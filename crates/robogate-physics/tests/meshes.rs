@@ -93,6 +93,11 @@ fn pieces_fill_the_solid() {
             .join("\n");
     let stacked = Pieces::of(&mesh(&stacked), 16).unwrap();
     assert_eq!((stacked.parts.len(), stacked.distance_m < 1e-9), (2, true), "{stacked:?}");
+    // Bodies that share an edge are a closed surface, of which no half of an edge belongs to one triangle.
+    let touching = "v 0 0 0\nv 10 0 0\nv 0 10 0\nv 0 0 10\nv 0 -10 0\nv -10 0 0\n".to_owned()
+        + "f 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\nf 1 5 6\nf 1 6 4\nf 6 5 4\nf 1 4 5\n";
+    let touching = Pieces::of(&mesh(&touching), 16).unwrap();
+    assert!((1..=2).contains(&touching.parts.len()) && touching.distance_m < 1e-3, "{touching:?}");
     // The error of an arch falls with the number of pieces, and one piece is the hull.
     let arch = mesh(&prism(&arch(), 30.0));
     let [hull, few, many] = [1, 4, 16].map(|most| Pieces::of(&arch, most).unwrap());

@@ -214,7 +214,11 @@ impl Chunk {
                 let near = point + (middle - point).normalize_or_zero() * (1e5 * tolerance);
                 let falls = (normal.dot(near) - distance) * sign < -tolerance;
                 let within = |(normal, distance): &Plane| normal.dot(near) - distance < -tolerance;
-                if side.index[index].is_none() && falls && self.planes.iter().all(within) && solid.contains(&near) {
+                if side.index[index].is_none()
+                    && falls
+                    && self.planes.iter().all(within)
+                    && contains(solid.points, solid.faces, &near)
+                {
                     side.point(index as u32);
                 }
             }
@@ -225,7 +229,7 @@ impl Chunk {
             meetings.extend(others.filter_map(|other| meeting(plane, one, other)).filter(|point| {
                 self.shell.height(point) <= tolerance
                     && self.planes.iter().all(|(normal, distance)| normal.dot(*point) - distance <= tolerance)
-                    && solid.contains(point)
+                    && contains(solid.points, solid.faces, point)
             }));
         }
         let [below, above] = sides;
@@ -247,17 +251,15 @@ fn meeting(a: &Plane, b: &Plane, c: &Plane) -> Option<Vector> {
     (determinant.abs() > 1e-6).then(|| sum / determinant)
 }
 
-impl Solid<'_> {
-    /// Whether a point is inside, from the solid angle that the surface covers (Van Oosterom and Strackee 1983).
-    fn contains(&self, point: &Vector) -> bool {
-        let angle = |face: &[u32; 3]| {
-            let [a, b, c] = face.map(|index| self.points[index as usize] - *point);
-            let [x, y, z] = [a.length(), b.length(), c.length()];
-            let under = x * y * z + a.dot(b) * z + b.dot(c) * x + c.dot(a) * y;
-            2.0 * a.dot(b.cross(c)).atan2(under)
-        };
-        self.faces.iter().map(angle).sum::<f64>() > std::f64::consts::TAU
-    }
+/// Whether a point is inside a closed surface, from the solid angle that it covers (Van Oosterom and Strackee 1983).
+pub(super) fn contains(points: &[Vector], faces: &[[u32; 3]], point: &Vector) -> bool {
+    let angle = |face: &[u32; 3]| {
+        let [a, b, c] = face.map(|index| points[index as usize] - *point);
+        let [x, y, z] = [a.length(), b.length(), c.length()];
+        let under = x * y * z + a.dot(b) * z + b.dot(c) * x + c.dot(a) * y;
+        2.0 * a.dot(b.cross(c)).atan2(under)
+    };
+    faces.iter().map(angle).sum::<f64>() > std::f64::consts::TAU
 }
 
 /// A side of a cut under construction.
