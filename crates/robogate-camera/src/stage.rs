@@ -67,6 +67,7 @@ pub(crate) struct Prop {
     /// The pose in that body's frame.
     place: Isometry3<f64>,
     /// The index of its shape among those of the body.
+    #[cfg_attr(not(feature = "egl"), expect(dead_code, reason = "only MuJoCo's renderer names shapes"))]
     pub(crate) part: usize,
 }
 

@@ -10,8 +10,9 @@ use robogate_physics::{Chain, Gripper, GripperCommand, Motion as Law, Robot, Unr
 
 use super::Briefing;
 use super::conditions::Value;
-use super::model::{Model, heights};
+use super::model::Model;
 use super::numbers::{Draws, Frame, Layout, Numbers, Place};
+use super::shapes::heights;
 use super::skills::{Motion, Skill};
 use crate::arm::{
     CONTROL_PERIOD_S, FREE, Planner, Script, Stage, compliance, cup_yaw, drives_task, grasp_height, tool_down,

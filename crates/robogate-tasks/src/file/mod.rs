@@ -18,6 +18,7 @@ mod numbers;
 mod parameters;
 mod problem;
 mod referee;
+mod shapes;
 mod skills;
 mod stack_claims;
 pub mod statics;
