@@ -39,7 +39,7 @@ use robogate_physics::{Engine, Robot, Scene, Visual};
 
 use crate::looks::RobotLooks;
 use crate::mounts::{Mounts, front_pose};
-use crate::stage::Stage;
+use crate::stage::{Meshes, Stage};
 
 /// The cameras' names, in the order of the images.
 pub const CAMERAS: [&str; 2] = ["front", "wrist"];
@@ -70,6 +70,7 @@ pub struct Cameras {
     size: [usize; 2],
     exhaustive: bool,
     scene: Option<Stage>,
+    meshes: Meshes,
 }
 
 /// Positions of all moving bodies.
@@ -105,7 +106,7 @@ impl Cameras {
             fixtures: Vec::new(),
         };
         let mounts = Mounts::new(&robot.settings.gripper, &looks.tool(&waiting));
-        Ok(Self { robot: looks, mounts, size: [SIZE_PX; 2], exhaustive: false, scene: None })
+        Ok(Self { robot: looks, mounts, size: [SIZE_PX; 2], exhaustive: false, scene: None, meshes: Meshes::default() })
     }
 
     /// The same cameras with another image size, in pixels.
@@ -136,7 +137,7 @@ impl Cameras {
 
     /// Sets up a scene.
     pub fn set_up(&mut self, scene: &Scene) {
-        self.scene = Some(Stage::new(scene, front_pose()));
+        self.scene = Some(Stage::new(scene, front_pose(), &mut self.meshes));
     }
 
     /// Removes the scene.

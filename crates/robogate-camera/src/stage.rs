@@ -1,7 +1,9 @@
 //! A scene as the cameras store it.
 
-use nalgebra::{Isometry3, Vector3};
-use robogate_physics::{FixtureKind, Primitive, Scene, Visual, WORKSPACE_CENTRE};
+use std::sync::Arc;
+
+use nalgebra::{Isometry3, Translation3, Vector3};
+use robogate_physics::{FixtureKind, Hull, Part, Primitive, Scene, Visual, WORKSPACE_CENTRE};
 
 use crate::Posture;
 use crate::body::{Body, Form};
@@ -9,6 +11,7 @@ use crate::caster::{Picture, Room};
 use crate::finish::{Finish, Pattern};
 use crate::light::{Light, color, linear};
 use crate::looks::RobotLooks;
+use crate::mesh::Mesh;
 use crate::pinhole::Pinhole;
 use crate::shadow::Shadows;
 use crate::table;
@@ -35,6 +38,26 @@ pub(crate) struct Stage {
     pub(crate) props: Vec<Prop>,
 }
 
+/// A mesh about the centre of its bounding box, and that centre.
+type Centred = (Arc<Mesh>, Vector3<f64>);
+
+/// The meshes of parts, by the piece that has each: a task has the same ones in every episode. A piece without one is not seen.
+#[derive(Debug, Default)]
+pub(crate) struct Meshes(Vec<(Arc<Hull>, Option<Centred>)>);
+
+impl Meshes {
+    fn of(&mut self, hull: &Arc<Hull>) -> Option<Centred> {
+        let known = self.0.iter().position(|(known, _)| Arc::ptr_eq(known, hull));
+        let index = known.unwrap_or_else(|| {
+            let corners = hull.mesh().into_iter().flat_map(robogate_physics::Mesh::corners);
+            let triangles: Vec<_> = corners.map(|triangle| triangle.map(|corner| corner.coords)).collect();
+            self.0.push((Arc::clone(hull), Mesh::new(&triangles).map(|(mesh, centre)| (Arc::new(mesh), centre))));
+            self.0.len() - 1
+        });
+        self.0[index].1.clone()
+    }
+}
+
 /// A solid and the body that it moves with.
 #[derive(Debug)]
 pub(crate) struct Prop {
@@ -43,9 +66,39 @@ pub(crate) struct Prop {
     pub(crate) with: With,
     /// The pose in that body's frame.
     place: Isometry3<f64>,
+    /// The index of its shape among those of the body.
+    #[cfg_attr(not(feature = "egl"), expect(dead_code, reason = "only MuJoCo's renderer names shapes"))]
+    pub(crate) part: usize,
 }
 
 impl Prop {
+    /// The look of a shape. The first piece of a mesh looks like the mesh, the others are not seen.
+    fn new(meshes: &mut Meshes, shape: &Part, (with, part): (With, usize), finish: Finish) -> Option<Self> {
+        let place = match with {
+            // The pose of a fixture is that of its only shape.
+            With::Fixture(_) | With::Table(_) => Isometry3::identity(),
+            With::Object | With::Other(_) => shape.pose,
+        };
+        let form = match &shape.primitive {
+            Primitive::Box { half } => Form::Box { half: half.map(|x| x as f32) },
+            Primitive::Cylinder { radius, half_height } => {
+                Form::Cylinder { radius: *radius as f32, half_height: *half_height as f32 }
+            }
+            Primitive::Sphere { radius } => Form::Sphere { radius: *radius as f32 },
+            Primitive::Hull(hull) => {
+                let (mesh, centre) = meshes.of(hull)?;
+                return Some(Self {
+                    form: Form::Mesh(mesh),
+                    finish,
+                    with,
+                    place: place * Translation3::from(centre),
+                    part,
+                });
+            }
+        };
+        Some(Self { form, finish, with, place, part })
+    }
+
     /// The shape.
     pub(crate) fn form(&self) -> &Form {
         &self.form
@@ -69,7 +122,7 @@ pub(crate) enum With {
 }
 
 impl Stage {
-    pub(crate) fn new(scene: &Scene, front: Isometry3<f64>) -> Self {
+    pub(crate) fn new(scene: &Scene, front: Isometry3<f64>, meshes: &mut Meshes) -> Self {
         let visual = &scene.visual;
         let mut props = Vec::new();
         let mut obstacles = OBSTACLES.iter().cycle();
@@ -89,17 +142,16 @@ impl Stage {
                 FixtureKind::Occluder => (With::Fixture(i), Finish::new([122, 134, 140], 0.4)),
                 FixtureKind::Disturbance => (With::Fixture(i), Finish::new([236, 184, 22], 0.3).with(Pattern::Hazard)),
             };
-            props.push(Prop { form: form(&fixture.part.primitive), finish, with, place: Isometry3::identity() });
+            props.extend(Prop::new(meshes, &fixture.part, (with, 0), finish));
         }
-        for part in &scene.object.parts {
+        for (part, shape) in scene.object.parts.iter().enumerate() {
             let mut finish = Finish::new(visual.object_color.0, 0.55);
             finish.transparency = visual.object_transparency;
-            props.push(Prop { form: form(&part.primitive), finish, with: With::Object, place: part.pose });
+            props.extend(Prop::new(meshes, shape, (With::Object, part), finish));
         }
         for (i, body) in scene.others.iter().enumerate() {
-            for part in &body.object.parts {
-                let finish = Finish::new(body.color.0, 0.55);
-                props.push(Prop { form: form(&part.primitive), finish, with: With::Other(i), place: part.pose });
+            for (part, shape) in body.object.parts.iter().enumerate() {
+                props.extend(Prop::new(meshes, shape, (With::Other(i), part), Finish::new(body.color.0, 0.55)));
             }
         }
         Self {
@@ -173,15 +225,5 @@ impl Stage {
             object: &object,
             exhaustive,
         })
-    }
-}
-
-fn form(primitive: &Primitive) -> Form {
-    match *primitive {
-        Primitive::Box { half } => Form::Box { half: half.map(|x| x as f32) },
-        Primitive::Cylinder { radius, half_height } => {
-            Form::Cylinder { radius: radius as f32, half_height: half_height as f32 }
-        }
-        Primitive::Sphere { radius } => Form::Sphere { radius: radius as f32 },
     }
 }

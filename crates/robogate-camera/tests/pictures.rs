@@ -261,7 +261,7 @@ fn crowded() -> Scene {
     let cylinder = Primitive::Cylinder { radius: 0.025, half_height: 0.06 };
     let cuboid = Primitive::Box { half: [0.02, 0.02, 0.04] };
     scene.fixtures.extend([
-        fixture(FixtureKind::Obstacle, cylinder, [0.4, -0.2]),
+        fixture(FixtureKind::Obstacle, cylinder.clone(), [0.4, -0.2]),
         fixture(FixtureKind::Obstacle, cuboid, [0.6, 0.2]),
         fixture(FixtureKind::Obstacle, cylinder, [0.7, -0.1]),
         panel(),

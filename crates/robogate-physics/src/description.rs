@@ -8,7 +8,7 @@ use mjcf_rs::equality::Equality;
 use nalgebra::{Isometry3, Matrix3, Point3, Quaternion, Translation3, Unit, UnitQuaternion, Vector3};
 
 use crate::robot::{BELLOWS_JOINT, CONTINUOUS_RAD, RobotSource};
-use crate::{Bellows, Chain, ChainJoint, Problem, Robot, RobotError, includes, robot_folder};
+use crate::{Bellows, Chain, ChainJoint, Problem, Robot, RobotError, Triangles, includes, robot_folder};
 
 /// A tree of rigid bodies. A body without a joint is part of its parent link.
 #[derive(Debug, Clone)]
@@ -410,35 +410,36 @@ impl Reader<'_> {
         if mesh.inline_vertices.is_some() {
             return Ok(mesh.inline_faces.iter().flatten().map(|i| *i as usize).collect());
         }
-        let path = self.model.resolve_mesh_file(mesh, self.folder).ok_or("a mesh has no file")?;
-        let bytes = fs::read(&path).map_err(|e| format!("{}: {e}", path.display()))?;
-        Ok(faces(&bytes).unwrap_or_default())
+        Ok(self.file_of(mesh, wanted)?.faces.into_iter().flatten().map(|i| i as usize).collect())
     }
 
     /// The vertices of a mesh. Rapier uses their convex hull, as MuJoCo does.
     fn hull(&self, geom: &Geom, name: &str) -> Result<Vec<Point3<f64>>, String> {
         let wanted = geom.mesh.as_deref().ok_or_else(|| format!("shape `{name}` names no mesh"))?;
         let mesh = self.model.assets.mesh(wanted).ok_or_else(|| format!("the model has no mesh `{wanted}`"))?;
-        let flat = if let Some(vertices) = &mesh.inline_vertices {
-            vertices.clone()
-        } else {
-            let path = self
-                .model
-                .resolve_mesh_file(mesh, self.folder)
-                .ok_or_else(|| format!("mesh `{wanted}` has neither file nor vertices"))?;
-            let bytes = fs::read(&path).map_err(|e| format!("mesh `{wanted}`: {}: {e}", path.display()))?;
-            vertices(&bytes).ok_or_else(|| format!("mesh `{wanted}`: {} is neither STL nor OBJ", path.display()))?
+        let vertices = match &mesh.inline_vertices {
+            Some(flat) => flat.chunks_exact(3).map(|v| Point3::new(v[0], v[1], v[2])).collect(),
+            None => self.file_of(mesh, wanted)?.vertices,
         };
         let place = isometry(&mesh.refpose);
-        let points: Vec<_> = flat
-            .chunks_exact(3)
-            .map(|v| place.inverse_transform_point(&Point3::new(v[0], v[1], v[2])))
+        let points: Vec<_> = vertices
+            .iter()
+            .map(|vertex| place.inverse_transform_point(vertex))
             .map(|p| Point3::new(p.x * mesh.scale[0], p.y * mesh.scale[1], p.z * mesh.scale[2]))
             .collect();
         if points.len() < 4 || points.iter().any(|p| !p.coords.iter().all(|x| x.is_finite())) {
             return Err(format!("mesh `{wanted}` has no four finite vertices"));
         }
         Ok(points)
+    }
+
+    /// The file of a mesh.
+    fn file_of(&self, mesh: &mjcf_rs::assets::Mesh, name: &str) -> Result<Triangles, String> {
+        let path = self.model.resolve_mesh_file(mesh, self.folder);
+        let path = path.ok_or_else(|| format!("mesh `{name}` has neither file nor vertices"))?;
+        let bytes = fs::read(&path).map_err(|e| format!("mesh `{name}`: {}: {e}", path.display()))?;
+        // The size of a robot's files is limited.
+        Triangles::read(&bytes, usize::MAX).map_err(|why| format!("mesh `{name}`: {}: {why}", path.display()))
     }
 
     fn couplings(&self) -> Result<Vec<Coupling>, String> {
@@ -552,75 +553,4 @@ fn chain(
         back = joint.in_link.inverse();
     }
     Ok(Chain { joints, flange: back * flange.1, tcp: back * tcp.1 })
-}
-
-/// The vertices of an STL (binary or text) or OBJ file, x y z in turn.
-fn vertices(bytes: &[u8]) -> Option<Vec<f64>> {
-    let count = bytes.get(80..84).map(|n| u32::from_le_bytes([n[0], n[1], n[2], n[3]]) as usize);
-    if let Some(triangles) = count
-        && triangles > 0
-        && bytes.len() == 84 + 50 * triangles
-    {
-        let number = |b: &[u8]| f64::from(f32::from_le_bytes([b[0], b[1], b[2], b[3]]));
-        return Some(bytes[84..].chunks_exact(50).flat_map(|t| t[12..48].chunks_exact(4).map(number)).collect());
-    }
-    let text = std::str::from_utf8(bytes).ok()?;
-    let mut found = Vec::new();
-    for line in text.lines() {
-        let mut words = line.split_whitespace();
-        if matches!(words.next(), Some("v" | "vertex")) {
-            for _ in 0..3 {
-                found.push(words.next()?.parse().ok()?);
-            }
-        }
-    }
-    (!found.is_empty()).then_some(found)
-}
-
-/// The triangles of an STL or OBJ file as vertex indices, three per triangle.
-fn faces(bytes: &[u8]) -> Option<Vec<usize>> {
-    let text = std::str::from_utf8(bytes).ok().filter(|text| text.lines().any(|line| line.starts_with("f ")));
-    let Some(text) = text else {
-        // In STL each triangle has separate vertices.
-        return Some((0..vertices(bytes)?.len() / 3).collect());
-    };
-    let count = text.lines().filter(|line| line.starts_with("v ")).count() as i64;
-    let mut found = Vec::new();
-    for line in text.lines().filter(|line| line.starts_with("f ")) {
-        let corner = |word: &str| {
-            let number: i64 = word.split('/').next()?.parse().ok()?;
-            // Negative numbers count back from the last vertex.
-            usize::try_from(if number < 0 { count + number } else { number - 1 }).ok()
-        };
-        let corners = line.split_whitespace().skip(1).map(corner).collect::<Option<Vec<_>>>()?;
-        for pair in corners.get(1..)?.windows(2) {
-            found.extend([corners[0], pair[0], pair[1]]);
-        }
-    }
-    Some(found)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn meshes_are_read_as_stl_and_obj() {
-        let mut stl = vec![0; 84];
-        stl[80] = 1;
-        let triangle: [f32; 12] = [0.0, 0.0, 1.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0];
-        stl.extend(triangle.iter().flat_map(|x| x.to_le_bytes()));
-        stl.extend([0, 0]);
-        let nine: Vec<f64> = (1..10).map(f64::from).collect();
-        assert_eq!(vertices(&stl).unwrap(), nine);
-        assert_eq!(vertices(b"v 1 2 3\nvn 0 0 1\nv 4 5 6\nv 7 8 9\nf 1 2 3\n").unwrap(), nine);
-        assert_eq!(
-            vertices(b"solid\nfacet normal 0 0 1\nouter loop\nvertex 1 2 3\nvertex 4 5 6\nvertex 7 8 9\n").unwrap(),
-            nine
-        );
-        assert_eq!(faces(b"v 1 2 3\nv 4 5 6\nv 7 8 9\nv 0 0 0\nf 1/1/1 2/2 3 -1\n").unwrap(), [0, 1, 2, 0, 2, 3]);
-        assert_eq!(faces(&stl).unwrap(), [0, 1, 2]);
-        assert!(faces(b"v 1 2 3\nf 1 0 1\n").is_none());
-        assert!(vertices(b"\xff\xfe").is_none() && vertices(b"v 1 2").is_none() && vertices(b"").is_none());
-    }
 }

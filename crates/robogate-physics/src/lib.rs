@@ -17,12 +17,15 @@ mod friction;
 #[cfg(feature = "mujoco")]
 mod grasp;
 mod gripper_command;
+mod hull;
 mod includes;
 #[cfg(feature = "mujoco")]
 mod inspect;
 mod joint;
 mod kinematics;
 mod mass;
+mod mesh;
+mod mesh_file;
 #[cfg(feature = "mujoco")]
 mod mesh_files;
 #[cfg(feature = "mujoco")]
@@ -61,11 +64,14 @@ pub use finger_motion::FingerMotion;
 #[cfg(feature = "mujoco")]
 pub use grasp::{Grasp, test_grasps};
 pub use gripper_command::GripperCommand;
+pub use hull::{Hull, MOST_PIECES, Pieces};
 #[cfg(feature = "mujoco")]
 pub use inspect::{Inspection, Measured, inspect};
 pub use joint::{Joint, JointKind};
 pub use kinematics::{Chain, ChainJoint, Unreachable};
 pub use mass::MassProperties;
+pub use mesh::{Bulk, Mesh};
+pub use mesh_file::{MeshProblem, Triangles};
 #[cfg(feature = "mujoco")]
 pub use model::MujocoModel;
 pub use motion::Motion;

@@ -1,6 +1,6 @@
 //! Mass properties of bodies made of primitives.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use crate::{Part, plain};
@@ -35,9 +35,9 @@ impl MassProperties {
             .map(|part| {
                 let mass = mass_kg * (1.0 - share) * part.primitive.volume() / volume;
                 let rotation = part.pose.rotation.to_rotation_matrix().into_inner();
-                let own =
-                    rotation * Matrix3::from_diagonal(&(part.primitive.unit_inertia() * mass)) * rotation.transpose();
-                (mass, part.pose.translation.vector, own)
+                let (centre, inertia) = part.primitive.unit_mass();
+                let own = rotation * (inertia * mass) * rotation.transpose();
+                (mass, (part.pose * Point3::from(centre)).coords, own)
             })
             .collect();
         masses.push((mass_kg * share, at, Matrix3::zeros()));

@@ -165,12 +165,13 @@ fn enters(primitive: &Primitive, from: &Point3<f64>, direction: &Vector3<f64>) -
         root.is_finite().then(|| ((-b - root) / a, (-b + root) / a))
     };
     let flat = |v: Vector3<f64>| Vector3::new(v.x, v.y, 0.0);
-    let (enter, leave) = match *primitive {
+    let (enter, leave) = match primitive {
         Primitive::Box { half } => overlap(overlap(slab(0, half[0])?, slab(1, half[1])?), slab(2, half[2])?),
         Primitive::Cylinder { radius, half_height } => {
-            overlap(within(flat(from.coords), flat(*direction), radius)?, slab(2, half_height)?)
+            overlap(within(flat(from.coords), flat(*direction), *radius)?, slab(2, *half_height)?)
         }
-        Primitive::Sphere { radius } => within(from.coords, *direction, radius)?,
+        Primitive::Sphere { radius } => within(from.coords, *direction, *radius)?,
+        Primitive::Hull(hull) => hull.along(from, direction)?,
     };
     (enter <= leave && enter >= 0.0).then_some(enter)
 }
@@ -327,7 +328,7 @@ mod tests {
     fn gap_may_be_negative() {
         let cylinder = Primitive::Cylinder { radius: 0.025, half_height: 0.025 };
         for (primitive, height) in [(cube(0.05), 0.01), (cylinder, 0.002), (ball(0.05), -0.003)] {
-            let gap = view(primitive, [0.0, 0.0], height, 0.0).unwrap().gap_m;
+            let gap = view(primitive.clone(), [0.0, 0.0], height, 0.0).unwrap().gap_m;
             assert!((gap - height).abs() < 1e-12, "{primitive:?}: {gap}");
         }
         assert_eq!(view(cube(0.05), [0.03, 0.0], 0.01, 0.0), None);

@@ -49,17 +49,17 @@ fn unreachable_pose_is_an_error() {
 
 /// Bodies with one part, and with several parts that do not overlap.
 fn bodies() -> Vec<Vec<Part>> {
-    let part = |primitive, x: f64, z: f64, yaw: f64| Part {
-        primitive,
+    let part = |primitive: &Primitive, x: f64, z: f64, yaw: f64| Part {
+        primitive: primitive.clone(),
         pose: Isometry3::new(Vector3::new(x, 0.0, z), Vector3::new(0.0, 0.0, yaw)),
     };
     let (cuboid, ball) = (Primitive::Box { half: [0.03, 0.02, 0.01] }, Primitive::Sphere { radius: 0.02 });
     let cylinder = Primitive::Cylinder { radius: 0.02, half_height: 0.03 };
     vec![
-        vec![part(cuboid, 0.0, 0.0, 0.0)],
-        vec![part(cylinder, 0.0, 0.0, 0.0)],
-        vec![part(ball, 0.0, 0.0, 0.0)],
-        vec![part(cuboid, 0.0, -0.01, 0.0), part(cuboid, 0.01, 0.01, 0.26), part(ball, 0.06, 0.0, 0.0)],
+        vec![part(&cuboid, 0.0, 0.0, 0.0)],
+        vec![part(&cylinder, 0.0, 0.0, 0.0)],
+        vec![part(&ball, 0.0, 0.0, 0.0)],
+        vec![part(&cuboid, 0.0, -0.01, 0.0), part(&cuboid, 0.01, 0.01, 0.26), part(&ball, 0.06, 0.0, 0.0)],
     ]
 }
 
@@ -74,6 +74,7 @@ fn mass_properties_match_mujoco() {
                 Primitive::Box { half: [x, y, z] } => ("box", format!("{x} {y} {z}")),
                 Primitive::Cylinder { radius, half_height } => ("cylinder", format!("{radius} {half_height}")),
                 Primitive::Sphere { radius } => ("sphere", radius.to_string()),
+                Primitive::Hull(_) => panic!("tests/meshes.rs tests pieces of meshes"),
             };
             let (at, turn) = (part.pose.translation, part.pose.rotation);
             geoms += &format!(

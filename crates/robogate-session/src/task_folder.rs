@@ -9,7 +9,7 @@ use robogate_core::{
     Value, check_applied, rollout,
 };
 use robogate_dictionary::check_columns;
-use robogate_tasks::file::{FILE, FileTask};
+use robogate_tasks::file::{FILE, FileTask, MOST_FILE_BYTES};
 
 use crate::cell::{Cell, default_place, listed, nominal};
 use crate::failure::{Failure, OrFailure};
@@ -29,7 +29,7 @@ pub fn read(folder: &Path) -> anyhow::Result<FileTask> {
     let text = text(&path).with_context(|| {
         format!("cannot read {}\nHint: `robogate tasks init {}` writes an example", path.display(), folder.display())
     })?;
-    match FileTask::read(&text) {
+    match FileTask::read_with(&text, &mut |name| beside(folder, name)) {
         Ok(task) => Ok(task),
         Err(problems) => bail!("{}\n{}", path.display(), listed(&problems)),
     }
@@ -39,6 +39,30 @@ fn text(path: &Path) -> io::Result<String> {
     let mut text = String::new();
     std::fs::File::open(path)?.take(MOST_BYTES).read_to_string(&mut text)?;
     Ok(text)
+}
+
+/// The content of a file in the folder of a task. The name has no `..`; a link may lead nowhere else.
+fn beside(folder: &Path, name: &str) -> Result<Vec<u8>, String> {
+    let read = |error: io::Error| match error.kind() {
+        io::ErrorKind::NotFound => "there is no such file in the folder of the task".to_owned(),
+        _ => error.to_string(),
+    };
+    let path = folder.join(name).canonicalize().map_err(read)?;
+    if !path.starts_with(folder.canonicalize().map_err(read)?) {
+        return Err(
+            "it is a link to a file outside of the folder of the task. Copy the file into the folder".to_owned()
+        );
+    }
+    if !path.metadata().map_err(read)?.is_file() {
+        return Err("it is not a file".to_owned());
+    }
+    let mut content = Vec::new();
+    std::fs::File::open(path)
+        .map_err(read)?
+        .take(MOST_FILE_BYTES as u64 + 1)
+        .read_to_end(&mut content)
+        .map_err(read)?;
+    Ok(content)
 }
 
 /// What a check of a task found.
@@ -74,6 +98,7 @@ pub fn check(folder: &Path, robot: &str, physics: bool) -> Result<Checked, Failu
     checked.problems.extend(check_columns(environment.task()).err().map(|error| error.to_string()));
     idle(&mut checked, &mut *environment, physics, task.moves());
     let episodes = if physics { EXPERT_EPISODES } else { 1 };
+    checked.figures.extend(task.mesh_figures().iter().cloned());
     let settings: Vec<String> = task.own_settings().map(|(name, value)| format!("{name}={value}")).collect();
     if !settings.is_empty() {
         checked.figures.push(format!("settings for --set, with their defaults: {}", settings.join(", ")));

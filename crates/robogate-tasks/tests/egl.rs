@@ -2,10 +2,13 @@
 #![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::collections::BTreeSet;
+use std::fs;
+use std::path::Path;
 
 use robogate_camera::{CAMERAS, EglRenderer};
 use robogate_core::{Assignment, Environment, Image, Policy, Scenario, Seed, Value};
 use robogate_physics::{Engine, MujocoEngine, built_in_robot};
+use robogate_tasks::file::FileTask;
 use robogate_tasks::pick_place::{PickPlace, Scripted};
 use robogate_tasks::{ArmEnvironment, ArmTask, Rig};
 
@@ -132,6 +135,34 @@ fn object_outline_matches() {
         }
     }
     assert!(seen[0] >= 5 && seen[1] >= 4, "the object is visible in too few images: {seen:?}");
+}
+
+/// A part that is a mesh, and not its convex pieces.
+#[test]
+fn mesh_outline_matches() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets/tasks/pipe_clamp");
+    let images = |color: &str, of_mujoco: bool| {
+        let text = fs::read_to_string(folder.join("task.toml")).unwrap().replacen("#c83c28", color, 1);
+        let mut find = |name: &str| fs::read(folder.join(name)).map_err(|why| why.to_string());
+        let task = FileTask::read_with(&text, &mut find).unwrap();
+        let engine = MujocoEngine::new(built_in_robot("franka").unwrap(), MujocoEngine::TIME_STEP_S).unwrap();
+        let renderer = of_mujoco.then(|| EglRenderer::new(&engine)).transpose();
+        let renderer = renderer.map_err(|why| robogate_testing::skip("egl", &why.to_string())).ok()?;
+        let renderer = renderer.map(|renderer| Box::new(renderer) as Box<_>);
+        let mut cell = task.on(Box::new(engine), Rig { renderer, ..Rig::default() }).unwrap();
+        cell.reset(&scenario(&[])).unwrap();
+        Some(cell.render().unwrap())
+    };
+    let outlines = |of_mujoco: bool| -> Option<Vec<BTreeSet<(i64, i64)>>> {
+        let (red, blue) = (images("#e02020", of_mujoco)?, images("#2020e0", of_mujoco)?);
+        Some(red.iter().zip(&blue).map(|(a, b)| differing(a, b)).collect())
+    };
+    let Some(others) = outlines(true) else { return };
+    let (one, other) = (&outlines(false).unwrap()[0], &others[0]);
+    assert!(one.len() > 100, "{} pixels", one.len());
+    let ([x, y], [u, v]) = (centroid(one), centroid(other));
+    assert!((x - u).hypot(y - v) < 1.0, "({x:.2}, {y:.2}) and ({u:.2}, {v:.2})");
+    assert!(alone(one, other) == 0 && alone(other, one) == 0, "{} and {} pixels", one.len(), other.len());
 }
 
 #[test]

@@ -17,7 +17,7 @@ use robogate_tasks::{ArmDeclaration, ArmEnvironment, ArmTask, Rig};
 use common::{EngineKind, scenario};
 
 /// The shipped tasks with the robots that solve them.
-const SHIPPED: [(&str, &[&str]); 8] = [
+const SHIPPED: [(&str, &[&str]); 9] = [
     ("drawer", &["franka", "ur5e", "ur10e"]),
     ("button", &["franka", "ur5e", "ur10e"]),
     ("door", &["franka", "ur5e", "ur10e"]),
@@ -26,6 +26,7 @@ const SHIPPED: [(&str, &[&str]); 8] = [
     ("machine_tending", &["franka", "ur5e"]),
     ("kitting", &["franka", "ur5e"]),
     ("bin_picking", &["franka", "ur5e"]),
+    ("pipe_clamp", &["franka", "ur5e"]),
 ];
 
 fn text(task: &str) -> String {
@@ -33,7 +34,13 @@ fn text(task: &str) -> String {
 }
 
 fn shipped(task: &str) -> FileTask {
-    FileTask::read(&text(task)).unwrap()
+    read(task, &text(task))
+}
+
+/// A text with the files of a shipped task beside it.
+fn read(task: &str, text: &str) -> FileTask {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets/tasks").join(task);
+    FileTask::read_with(text, &mut |name| fs::read(folder.join(name)).map_err(|why| why.to_string())).unwrap()
 }
 
 fn robot(name: &str) -> Robot {
@@ -290,13 +297,13 @@ fn large_files_are_refused() {
 
 #[test]
 fn lint_finds_what_can_never_happen() {
-    let of = |text: &str, on: &str| {
-        let task = FileTask::read(text).unwrap();
+    let of = |text: &str, on: &str| problems(&FileTask::read(text).unwrap(), on);
+    fn problems(task: &FileTask, on: &str) -> Vec<String> {
         let engine = EngineKind::Mujoco.robot(on).engine();
-        task.lint(&robot(on), engine.chain()).into_iter().map(|problem| problem.to_string()).collect::<Vec<_>>()
-    };
+        task.lint(&robot(on), engine.chain()).into_iter().map(|problem| problem.to_string()).collect()
+    }
     for (name, robots) in SHIPPED {
-        robots.iter().for_each(|on| assert_eq!(of(&text(name), on), [""; 0], "{name}"));
+        robots.iter().for_each(|on| assert_eq!(problems(&shipped(name), on), [""; 0], "{name}"));
     }
     let beyond = text("drawer").replacen("range = \"8, 18 cm\"", "range = \"8, 30 cm\"", 1);
     let problems = of(&beyond, "franka");

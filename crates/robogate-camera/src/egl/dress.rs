@@ -14,7 +14,8 @@ use crate::body::Form;
 use crate::finish::{Finish, Pattern};
 use crate::light::{Light, MIDDLE_ALBEDO, exposed};
 use crate::looks::{RobotLooks, SHOWN_GROUPS};
-use crate::stage::{Stage, With};
+use crate::mesh::Mesh;
+use crate::stage::{Prop, Stage, With};
 use crate::table;
 
 /// Geometry groups of visible and hidden geoms.
@@ -195,8 +196,8 @@ impl Wardrobe {
 
     /// Table, obstacles, object and other free bodies.
     fn props(&mut self, spec: &mut MjSpec, scene: &Scene, stage: &Stage) {
-        for (index, prop) in stage.props.iter().enumerate() {
-            let part = stage.props[..index].iter().filter(|before| before.with == prop.with).count();
+        for prop in &stage.props {
+            let part = prop.part;
             let name = match prop.with {
                 With::Table(i) => {
                     self.table(spec, scene, i, &prop.finish);
@@ -216,11 +217,44 @@ impl Wardrobe {
                 }
                 _ => self.look(spec, &prop.finish),
             };
-            if let Some(geom) = spec.geom_mut(&name) {
+            if let Form::Mesh(mesh) = prop.form() {
+                self.mesh(spec, scene, prop, mesh, &look);
+            } else if let Some(geom) = spec.geom_mut(&name) {
                 geom.set_group(SHOWN);
                 geom.set_material(&look);
             }
         }
+        // Pieces of meshes are not seen.
+        for geom in spec.geom_iter_mut() {
+            if geom.name().starts_with(PREFIX) && geom.meshname() == geom.name() {
+                geom.set_group(HIDDEN);
+            }
+        }
+    }
+
+    /// The mesh of a body, which its convex pieces stand for in contacts.
+    fn mesh(&mut self, spec: &mut MjSpec, scene: &Scene, prop: &Prop, mesh: &Mesh, look: &str) {
+        self.count += 1;
+        let name = format!("{PREFIX}mesh_{}", self.count);
+        let corners: Vec<f32> = mesh.corners().into_iter().flatten().flatten().collect();
+        let faces: Vec<i32> = (0..corners.len() as i32 / 3).collect();
+        let own = spec.add_mesh().with_name(&name);
+        own.set_uservert(&corners);
+        own.set_userface(&faces);
+        let of_fixture = |i: usize| scene.fixtures.get(i).map(|of| (of.motion.is_some(), &of.name, of.part.pose));
+        let (body, place) = match prop.with {
+            With::Table(i) | With::Fixture(i) => match of_fixture(i) {
+                Some((true, name, _)) => (spec.body_mut(&format!("{PREFIX}{name}")), *prop.place()),
+                Some((false, _, pose)) => (Some(spec.world_body_mut()), pose * prop.place()),
+                None => return,
+            },
+            With::Object => (spec.body_mut(&format!("{PREFIX}object")), *prop.place()),
+            With::Other(i) => (spec.body_mut(&format!("{PREFIX}object@{}", i + 1)), *prop.place()),
+        };
+        let Some(body) = body else { return };
+        let geom = add(body, MjtGeomBase::mjGEOM_MESH, [0.0; 3], &place, look);
+        geom.set_meshname(&name);
+        geom.set_mass(0.0);
     }
 
     /// A board in the rim's colour, and a sheet on it with the texture of the top and the marker.
@@ -326,7 +360,13 @@ fn in_full_light(light: &Light, albedo: &Vector3<f32>) -> [f32; 3] {
     exposed(&(albedo * light.full())).map(|x| f32::from(x) / 255.0)
 }
 
-fn add(body: &mut MjsBody, kind: MjtGeomBase, size: [f64; 3], place: &Isometry3<f64>, look: &str) {
+fn add<'a>(
+    body: &'a mut MjsBody,
+    kind: MjtGeomBase,
+    size: [f64; 3],
+    place: &Isometry3<f64>,
+    look: &str,
+) -> &'a mut MjsGeom {
     let geom: &mut MjsGeom = body.add_geom();
     geom.set_type(kind);
     *geom.size_mut() = size;
@@ -337,6 +377,7 @@ fn add(body: &mut MjsBody, kind: MjtGeomBase, size: [f64; 3], place: &Isometry3<
     geom.set_group(SHOWN);
     geom.set_material(look);
     *geom.rgba_mut() = [0.5, 0.5, 0.5, 1.0];
+    geom
 }
 
 fn texture(spec: &mut MjSpec, name: &str, kind: MjtTexture, [width, height]: [usize; 2], texels: &[u8]) {

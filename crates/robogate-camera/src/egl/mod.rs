@@ -17,7 +17,7 @@ use robogate_physics::{Engine, MujocoEngine, Scene, Visual};
 use crate::egl::device::Gl;
 use crate::looks::RobotLooks;
 use crate::mounts::{Mounts, front_pose};
-use crate::stage::Stage;
+use crate::stage::{Meshes, Stage};
 use crate::{CAMERAS, Pinhole, Renderer, SIZE_PX};
 
 /// Nearest and farthest visible depth, in metres.
@@ -138,7 +138,7 @@ impl Renderer for EglRenderer {
 
     fn set_up(&mut self, scene: &Scene) -> Visual {
         self.discard();
-        let stage = Stage::new(scene, front_pose());
+        let stage = Stage::new(scene, front_pose(), &mut Meshes::default());
         let visual = stage.visual(&front_pose()).unwrap_or(scene.visual);
         self.scene = Some((scene.clone(), stage));
         visual

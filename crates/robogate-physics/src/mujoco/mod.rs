@@ -723,6 +723,14 @@ impl Loaded {
 
     /// Pose of a geom.
     fn geom_pose(&self, geom: usize) -> Isometry3<f64> {
-        rigid(self.data.geom_xpos()[geom], &self.data.geom_xmat()[geom])
+        let pose = rigid(self.data.geom_xpos()[geom], &self.data.geom_xmat()[geom]);
+        let model = self.data.model();
+        // The compiler moves the frame of a mesh to its centre of mass and turns it to the principal axes.
+        match usize::try_from(model.geom_dataid()[geom]) {
+            Ok(mesh) if model.geom_type()[geom] == MjtGeomBase::mjGEOM_MESH => {
+                pose * isometry(&model.mesh_pos()[mesh], &model.mesh_quat()[mesh]).inverse()
+            }
+            _ => pose,
+        }
     }
 }

@@ -14,6 +14,7 @@ impl MujocoEngine {
         self.set_stiffness(spec, scene.arm_stiffness);
         self.set_pad_friction(spec, scene);
         let degrees = spec.compiler().degree();
+        add_meshes(spec, scene);
         let world = spec.world_body_mut();
         for fixture in &scene.fixtures {
             let name = format!("{PREFIX}{}", fixture.name);
@@ -179,6 +180,20 @@ pub(super) fn weld_name(index: usize) -> String {
     }
 }
 
+/// Adds the piece of each geom that is one, as a mesh with the name of the geom. The compiler finds its hull.
+fn add_meshes(spec: &mut MjSpec, scene: &Scene) {
+    let fixtures = scene.fixtures.iter().map(|fixture| (format!("{PREFIX}{}", fixture.name), &fixture.part));
+    let parts = scene.free_bodies().enumerate().flat_map(|(index, (object, _))| {
+        object.parts.iter().enumerate().map(move |(i, part)| (format!("{}_{i}", free_name(index)), part))
+    });
+    for (name, part) in fixtures.chain(parts) {
+        if let Primitive::Hull(hull) = &part.primitive {
+            let corners: Vec<f32> = hull.corners().iter().flat_map(|corner| corner.iter().map(|x| *x as f32)).collect();
+            spec.add_mesh().with_name(&name).set_uservert(&corners);
+        }
+    }
+}
+
 fn place(pose: &Isometry3<f64>, at: &mut [f64; 3]) {
     *at = pose.translation.vector.into();
 }
@@ -188,8 +203,13 @@ fn shape(geom: &mut MjsGeom, primitive: &Primitive, pose: &Isometry3<f64>) {
         Primitive::Box { half } => (MjtGeomBase::mjGEOM_BOX, half),
         Primitive::Cylinder { radius, half_height } => (MjtGeomBase::mjGEOM_CYLINDER, [radius, half_height, 0.0]),
         Primitive::Sphere { radius } => (MjtGeomBase::mjGEOM_SPHERE, [radius, 0.0, 0.0]),
+        Primitive::Hull(_) => (MjtGeomBase::mjGEOM_MESH, [0.0; 3]),
     };
     geom.set_type(kind);
+    if let Primitive::Hull(_) = primitive {
+        let name = geom.name().to_owned();
+        geom.set_meshname(&name);
+    }
     // The defaults of a robot's file do not apply to the scene.
     geom.set_margin(0.0);
     geom.set_gap(0.0);

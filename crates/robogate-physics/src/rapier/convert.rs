@@ -38,10 +38,11 @@ pub(super) fn solid(solid: &Solid, at: &Isometry3<f64>) -> Result<(SharedShape, 
 }
 
 pub(super) fn primitive(primitive: &Primitive) -> Solid {
-    match *primitive {
-        Primitive::Box { half } => Solid::Box { half },
-        Primitive::Cylinder { radius, half_height } => Solid::Cylinder { radius, half_height },
-        Primitive::Sphere { radius } => Solid::Sphere { radius },
+    match primitive {
+        Primitive::Box { half } => Solid::Box { half: *half },
+        Primitive::Cylinder { radius, half_height } => Solid::Cylinder { radius: *radius, half_height: *half_height },
+        Primitive::Sphere { radius } => Solid::Sphere { radius: *radius },
+        Primitive::Hull(hull) => Solid::Hull { points: hull.corners().to_vec() },
     }
 }
 

@@ -182,24 +182,24 @@ fn obstacles_do_not_change_the_topology() {
 #[test]
 fn objects_of_all_shapes_have_one_topology() {
     let mut engine = engine();
-    let mut read = |parts: &[Part]| {
+    let mut read = |parts: &[&Part]| {
         let mut scene = scene(&[]);
-        scene.object.parts = parts.to_vec();
+        scene.object.parts = parts.iter().map(|part| (*part).clone()).collect();
         let world = World::new(&mut engine, &scene, 30.0, 0.05).unwrap();
         assert_eq!(
             world.read_back(&engine).unwrap().parts,
-            parts.iter().map(|part| part.primitive).collect::<Vec<_>>()
+            parts.iter().map(|part| part.primitive.clone()).collect::<Vec<_>>()
         );
         engine.numbers().topology
     };
     let ball = part(Primitive::Sphere { radius: 0.02 }, 0.01, 0.0);
     let (cuboid, can) = (part(BOX, 0.0, 0.0), part(CAN, 0.0, 0.0));
-    let alone = read(&[cuboid]);
-    for parts in [vec![ball], vec![can], vec![ball, cuboid, cuboid]] {
+    let alone = read(&[&cuboid]);
+    for parts in [vec![&ball], vec![&can], vec![&ball, &cuboid, &cuboid]] {
         assert_eq!(read(&parts), alone, "{parts:?}");
     }
     // More parts than there are spare ones have a topology of their own.
-    assert_ne!(read(&[ball, ball, cuboid]), alone);
+    assert_ne!(read(&[&ball, &ball, &cuboid]), alone);
 }
 
 #[test]
@@ -209,7 +209,7 @@ fn fixtures_keep_their_numbers() {
     let world = World::new(&mut engine, &scene(&fixtures), 30.0, 0.05).unwrap();
     let found = world.read_back(&engine).unwrap();
     let mut read: Vec<(usize, Option<Primitive>)> =
-        found.fixtures.iter().map(|it| (it.fixture, it.primitive)).collect();
+        found.fixtures.iter().map(|it| (it.fixture, it.primitive.clone())).collect();
     read.sort_by_key(|(fixture, _)| *fixture);
     assert_eq!(read, [(0, Some(Fixture::table().part.primitive)), (1, Some(CAN)), (2, Some(BOX))]);
     let poses = world.fixture_poses(&engine);

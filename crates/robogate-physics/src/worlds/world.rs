@@ -34,7 +34,11 @@ fn with_spare_parts(object: &Object) -> Option<(Object, Vec<Option<usize>>)> {
         Primitive::Box { .. } => 0,
         Primitive::Cylinder { .. } => 1,
         Primitive::Sphere { .. } => 2,
+        Primitive::Hull(_) => SPARE_PARTS.len(),
     };
+    if object.parts.iter().any(|part| kind(&part.primitive) == SPARE_PARTS.len()) {
+        return None;
+    }
     let (size, pose) = (1e-3, Isometry3::translation(0.0, 0.0, -Part::OUT_OF_REACH_M));
     let spares = [
         Primitive::Box { half: [size; 3] },
@@ -46,13 +50,13 @@ fn with_spare_parts(object: &Object) -> Option<(Object, Vec<Option<usize>>)> {
         let those = object.parts.iter().enumerate().filter(|(_, part)| kind(&part.primitive) == own);
         let first = parts.len();
         for (index, part) in those {
-            parts.push(*part);
+            parts.push(part.clone());
             order.push(Some(index));
         }
         if parts.len() > first + count {
             return None;
         }
-        parts.resize_with(first + count, || Part { primitive: spare, pose });
+        parts.resize_with(first + count, || Part { primitive: spare.clone(), pose });
         order.resize(first + count, None);
     }
     Some((Object { parts, ..object.clone() }, order))
@@ -63,7 +67,7 @@ fn with_spare_parts(object: &Object) -> Option<(Object, Vec<Option<usize>>)> {
 fn with_spares(scene: &Scene) -> (Scene, Vec<Option<usize>>) {
     let (mut kept, mut boxes, mut cylinders) = (Vec::new(), Vec::new(), Vec::new());
     for (index, fixture) in scene.fixtures.iter().enumerate() {
-        match (fixture.kind, fixture.part.primitive, fixture.motion) {
+        match (fixture.kind, &fixture.part.primitive, fixture.motion) {
             (FixtureKind::Obstacle, Primitive::Box { .. }, None) => boxes.push((Some(index), fixture.clone())),
             (FixtureKind::Obstacle, Primitive::Cylinder { .. }, None) => cylinders.push((Some(index), fixture.clone())),
             _ => kept.push((Some(index), fixture.clone())),
@@ -76,7 +80,8 @@ fn with_spares(scene: &Scene) -> (Scene, Vec<Option<usize>>) {
         for k in fixtures.len()..SPARES {
             let pose = Isometry3::translation(0.0, side * (k + 1) as f64, -SPARE_DEPTH_M);
             let (name, kind) = (String::new(), FixtureKind::Obstacle);
-            fixtures.push((None, Fixture { name, kind, part: Part { primitive, pose }, motion: None }));
+            let part = Part { primitive: primitive.clone(), pose };
+            fixtures.push((None, Fixture { name, kind, part, motion: None }));
         }
     }
     let (order, mut fixtures): (Vec<_>, Vec<_>) = kept.into_iter().chain(boxes).chain(cylinders).unzip();
@@ -241,7 +246,7 @@ impl World {
             fixture.is_some()
         });
         if let Some(order) = &self.parts {
-            let read = order.iter().zip(&found.parts).filter_map(|(index, part)| Some(((*index)?, *part)));
+            let read = order.iter().zip(&found.parts).filter_map(|(index, part)| Some(((*index)?, part.clone())));
             let mut read: Vec<(usize, Primitive)> = read.collect();
             read.sort_by_key(|(index, _)| *index);
             found.parts = read.into_iter().map(|(_, part)| part).collect();

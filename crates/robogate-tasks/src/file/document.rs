@@ -182,7 +182,7 @@ pub(super) struct FixtureTable {
     pub(super) touch: bool,
 }
 
-/// A convex shape of a body. Exactly one of box, cylinder and sphere.
+/// A shape of a body. Exactly one of box, cylinder, sphere and mesh.
 #[derive(Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub(super) struct ShapeTable {
@@ -193,7 +193,15 @@ pub(super) struct ShapeTable {
     pub(super) cylinder: Option<Text>,
     /// Diameter.
     pub(super) sphere: Option<Text>,
-    /// Position of its centre in the frame of the body. Default: 0.
+    /// A file beside this one, STL or OBJ: a closed surface. Contacts act on convex pieces of it, images show the mesh itself.
+    pub(super) mesh: Option<Text>,
+    /// The unit of a mesh's file: m, cm or mm. Default: m.
+    pub(super) unit: Option<Text>,
+    /// By how much a mesh is larger than its file. Default: 1.
+    pub(super) scale: Option<Text>,
+    /// The largest number of convex pieces of a mesh: 1 is its convex hull. Default: 16.
+    pub(super) pieces: Option<Text>,
+    /// Position of its centre, or of the origin of a mesh, in the frame of the body. Default: 0.
     pub(super) at: Option<Text>,
     /// Roll, pitch and yaw in the frame of the body. Default: 0.
     pub(super) rotation: Option<Text>,
@@ -204,8 +212,10 @@ pub(super) struct ShapeTable {
 #[serde(deny_unknown_fields)]
 pub(super) struct PartTable {
     pub(super) name: Text,
-    /// Mass.
-    pub(super) mass: Text,
+    /// Mass. Either this or the density.
+    pub(super) mass: Option<Text>,
+    /// Density, from which the mass follows: `2.7 g/cm^3`.
+    pub(super) density: Option<Text>,
     /// The fixture whose frame `at` and `rotation` refer to. Default: the robot's base.
     #[serde(rename = "in")]
     pub(super) parent: Option<Text>,

@@ -10,8 +10,9 @@ use robogate_physics::{Chain, Gripper, GripperCommand, Motion as Law, Robot, Unr
 
 use super::Briefing;
 use super::conditions::Value;
-use super::model::{Model, heights};
+use super::model::Model;
 use super::numbers::{Draws, Frame, Layout, Numbers, Place};
+use super::shapes::heights;
 use super::skills::{Motion, Skill};
 use crate::arm::{
     CONTROL_PERIOD_S, FREE, Planner, Script, Stage, compliance, cup_yaw, drives_task, grasp_height, tool_down,
@@ -164,8 +165,11 @@ impl<'a> Cell<'a> {
             let half = part.primitive.half_extent();
             origin || local.x.abs() <= half[0] && local.y.abs() <= half[1]
         };
-        let under: Vec<_> = shapes.iter().filter(over).copied().collect();
-        let [low, high] = heights(if under.is_empty() { shapes } else { &under });
+        let [low, high] = if shapes.iter().any(|part| over(&part)) {
+            heights(shapes.iter().filter(over))
+        } else {
+            heights(shapes.iter())
+        };
         Vector3::new(at.x, at.y, at.z - place.point.z + low + grasp_height(gripper, high - low))
     }
 }
@@ -178,6 +182,8 @@ struct Plan<'a> {
     gripper: GripperCommand,
     /// The part in the hand, with its pose in the frame of the tool.
     in_hand: Option<(usize, Isometry3<f64>)>,
+    /// By how many quarters it may be turned where it is put down.
+    quarters: usize,
     /// The fixture that carries each part. The layout has the pose that such a part would have had at the start.
     carriers: Vec<Option<usize>>,
     /// What the tool moves with, and the control period from which on it does.
@@ -191,7 +197,7 @@ impl<'a> Plan<'a> {
         let planner = Planner::new(cell.robot, chain, CONTROL_PERIOD_S);
         let carriers = cell.model.parents();
         let (gripper, in_hand, tracked, over) = (GripperCommand::Open, None, None, Frame::World);
-        Self { cell, chain, planner, gripper, in_hand, carriers, tracked, over }
+        Self { cell, chain, planner, gripper, in_hand, quarters: 1, carriers, tracked, over }
     }
 
     fn number(&self, value: &Value) -> f64 {
@@ -285,9 +291,8 @@ impl<'a> Plan<'a> {
         let closing = rotation * Vector3::y();
         let across = self.frame(place.on).rotation.inverse() * closing;
         let reach = |part: &robogate_physics::Part| {
-            let (local, half) = (part.pose.rotation.inverse() * across, part.primitive.half_extent());
-            let half: f64 = (0..3).map(|axis| (local[axis] * half[axis]).abs()).sum();
-            part.pose.translation.vector.dot(&across).abs() + half
+            let (local, at) = (part.pose.rotation.inverse() * across, part.pose.translation.vector.dot(&across));
+            part.primitive.extent(&local).into_iter().map(|end| (at + end).abs()).fold(0.0, f64::max)
         };
         let half = self.cell.numbers.parts[of].shapes.iter().map(reach).fold(0.0, f64::max);
         -closing * jaw.beside_m(2.0 * half)
@@ -387,6 +392,8 @@ impl<'a> Plan<'a> {
                 self.grip(phase, GripperCommand::Close)?;
                 if let Frame::Part(of) = place.on {
                     self.in_hand = Some((of, self.tool().inverse() * self.frame(place.on)));
+                    // A part with a direction in which fingers close is not the same after a quarter turn.
+                    self.quarters = if place.close_rad.is_some() { 2 } else { 1 };
                     self.carriers[of] = None;
                 }
             }
@@ -493,7 +500,7 @@ impl<'a> Plan<'a> {
         self.planner.straight(phase, &[raised(&self.tool()), poses[chosen]], limit, self.gripper)
     }
 
-    /// The poses of the tool in which the part in the hand is at a height above a place, with its yaw or a quarter turn of it.
+    /// The poses of the tool in which the part in the hand is at a height above a place, with its yaw or some quarter turns of it.
     fn turned(&self, place: &Place, height: f64) -> Vec<Isometry3<f64>> {
         let frame = self.cell.at(place, &self.frame(place.on));
         let goal = frame.translation.vector + Vector3::new(0.0, 0.0, height);
@@ -506,7 +513,7 @@ impl<'a> Plan<'a> {
             let offset = rotation * part.translation.vector;
             Isometry3::from_parts(Translation3::from(goal - offset), rotation)
         };
-        (0..4).map(pose).collect()
+        (0..4).step_by(self.quarters).map(pose).collect()
     }
 
     /// Brings the part in the hand to a height above a place, with the yaw of the place or a quarter turn of it.

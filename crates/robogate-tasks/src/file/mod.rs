@@ -10,6 +10,7 @@ mod document;
 mod expert;
 mod foresight;
 mod lint;
+mod meshes;
 mod model;
 mod moving;
 mod names;
@@ -17,6 +18,7 @@ mod numbers;
 mod parameters;
 mod problem;
 mod referee;
+mod shapes;
 mod skills;
 mod stack_claims;
 pub mod statics;
@@ -40,6 +42,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::json;
 
 pub use document::Document;
+pub use meshes::{Files, Find, MOST_FILE_BYTES};
 pub use problem::Problem;
 
 use self::expert::{Cell, Expert};
@@ -59,8 +62,9 @@ use crate::settings::{Field, SettingRow};
 /// The name of the file in a task's folder.
 pub const FILE: &str = "task.toml";
 
-/// The key of the file's text in the details of a declaration.
+/// The keys of the file's text and of the files that it names in the details of a declaration.
 const TEXT: &str = "task_toml";
+const FILES: &str = "task_files";
 
 /// Colours of parts that state none, in turn.
 const COLORS: [Color; 4] = [Color([58, 110, 165]), Color([200, 60, 40]), Color([222, 170, 60]), Color([96, 150, 90])];
@@ -88,12 +92,20 @@ pub struct FileTask {
 }
 
 impl FileTask {
-    /// Reads a task from the text of its file.
+    /// Reads a task from the text of its file, which names no other files.
     ///
     /// # Errors
     /// Every problem that was found.
     pub fn read(text: &str) -> Result<Self, Vec<Problem>> {
-        Ok(Self::of(Arc::new(Model::read(text)?)))
+        Self::read_with(text, &mut |_| Err("the text of the task came without its folder".to_owned()))
+    }
+
+    /// Reads a task from the text of its file. `find` returns the content of a file beside it.
+    ///
+    /// # Errors
+    /// Every problem that was found.
+    pub fn read_with(text: &str, find: Find<'_>) -> Result<Self, Vec<Problem>> {
+        Ok(Self::of(Arc::new(Model::read(text, find)?)))
     }
 
     /// The task with the default of each setting.
@@ -104,12 +116,24 @@ impl FileTask {
 
     /// The task of a declaration that contains its file. `None` for another declaration.
     pub fn recorded(spec: &TaskSpec) -> Option<Result<Self, Vec<Problem>>> {
-        spec.details.get(TEXT)?.as_str().map(Self::read)
+        let text = spec.details.get(TEXT)?.as_str()?;
+        let files = spec.details.get(FILES);
+        Some(Self::read_with(text, &mut |name| meshes::of_record(files, name)))
     }
 
     /// The text of the file.
     pub fn text(&self) -> &str {
         &self.model.text
+    }
+
+    /// The files that it names.
+    pub fn files(&self) -> &Files {
+        &self.model.files
+    }
+
+    /// What was measured for each mesh, as a line.
+    pub fn mesh_figures(&self) -> &[String] {
+        &self.model.figures
     }
 
     /// Whether the file has an expert.
@@ -255,7 +279,7 @@ impl FileTask {
                     1 => fixture.name.clone(),
                     _ => format!("{}.{}", fixture.name, index + 1),
                 };
-                let part = robogate_physics::Part { pose: frame * shape.pose, ..*shape };
+                let part = robogate_physics::Part { pose: frame * shape.pose, ..shape.clone() };
                 fixtures.push(Fixture { name, kind: FixtureKind::Receptacle, part, motion: *motion });
             }
         }
@@ -272,6 +296,16 @@ impl FileTask {
             gravity: numbers.gravity,
             marker: None,
             visual: Visual { object_color: color, ..numbers.around.visual() },
+        }
+    }
+
+    /// What a record contains of the file. It names a built-in task.
+    fn details(&self) -> serde_json::Value {
+        let Model { text, files, .. } = &*self.model;
+        match (SHIPPED.contains(&&**text), files.is_empty()) {
+            (true, _) => json!(null),
+            (false, true) => json!({ TEXT: text }),
+            (false, false) => json!({ TEXT: text, FILES: meshes::recorded(files) }),
         }
     }
 
@@ -381,8 +415,8 @@ impl ArmDeclaration for FileTask {
 impl Rules for FileTask {
     fn only_here(&self) -> Option<&'static str> {
         self.model.is_local().then_some(
-            "the file of the task has joints, motions or contacts that only an engine in this process reports: use --engine mujoco, \
-             without --simulator",
+            "the file of the task has meshes, joints, motions or contacts that only an engine in this process simulates and reports: \
+             use --engine mujoco, without --simulator",
         )
     }
 
@@ -442,8 +476,7 @@ impl Rules for FileTask {
             measures: own.chain(stages).chain(common_measures()).collect(),
             stages: model.stages.clone(),
             phases: skills::phases(model.skills(model.nominal.word)),
-            // A record names a built-in task.
-            details: if SHIPPED.contains(&&*model.text) { json!(null) } else { json!({ TEXT: model.text }) },
+            details: self.details(),
             ..base_spec(self.name(), robot, cameras)
         }
     }

@@ -1,13 +1,13 @@
 //! The meaning of a file: bodies, parameters, conditions and skills, with every name resolved.
 
-use nalgebra::Vector3;
 use robogate_core::budget::Budget;
 use robogate_core::{FailureMode, Word};
-use robogate_physics::{Color, GRAVITY, Motion, Part, Primitive};
+use robogate_physics::{Color, GRAVITY, Motion, Part};
 
 use super::conditions::{Condition, Value};
-use super::document::{Document, ShapeTable, Text};
+use super::document::{Document, Text};
 use super::foresight::{self, PlugIn};
+use super::meshes::{Files, Find, Meshes};
 use super::names::{Names, RESERVED, Region};
 use super::numbers::{Frame, Numbers, PartNumbers, Place, Placed, Target};
 use super::problem::{Problem, Problems};
@@ -23,6 +23,8 @@ const BUDGET: Budget = Budget { bytes: 64 << 10, values: 1 << 16, depth: 8 };
 /// The largest number of parts, of shapes of all bodies, and of entries of other lists.
 const MOST_PARTS: usize = 16;
 const MOST_SHAPES: usize = 128;
+/// The largest number of convex shapes of all bodies: shapes, and pieces of meshes.
+const MOST_CONVEX: usize = 256;
 const MOST_ENTRIES: usize = 64;
 
 /// Friction coefficient of the parts, if the file states none.
@@ -55,6 +57,10 @@ pub(super) struct Model {
     pub(super) cases: Vec<Case>,
     /// The text of the file.
     pub(super) text: String,
+    /// The files that it names.
+    pub(super) files: Files,
+    /// What was measured for each mesh.
+    pub(super) figures: Vec<String>,
 }
 
 /// A body that stands still.
@@ -156,7 +162,7 @@ impl Model {
     ///
     /// # Errors
     /// Every problem that was found.
-    pub(super) fn read(text: &str) -> Result<Self, Vec<Problem>> {
+    pub(super) fn read(text: &str, find: Find<'_>) -> Result<Self, Vec<Problem>> {
         let mut problems = Problems::new(text);
         if let Err(error) = BUDGET.check_toml(text) {
             problems.at(0, error.to_string(), "a task's file contains numbers and names, not data");
@@ -169,7 +175,8 @@ impl Model {
                 return Err(problems.found);
             }
         };
-        let model = Reading { problems: &mut problems, names: Names::default() }.model(document, text);
+        let reading = Reading { problems: &mut problems, names: Names::default(), meshes: Meshes::new(find) };
+        let model = reading.model(document, text);
         match model {
             Some(model) if problems.found.is_empty() => Ok(model),
             _ => {
@@ -224,6 +231,7 @@ impl Model {
         };
         let moves = self.nominal.motions.iter().any(Option::is_some);
         moves
+            || !self.files.is_empty()
             || self.nominal.parts.iter().any(|part| part.joint.is_some())
             || self.fixtures.iter().any(|fixture| fixture.touch)
             || self.cases.iter().any(local)
@@ -239,6 +247,7 @@ impl Model {
 pub(super) struct Reading<'a, 'b> {
     pub(super) problems: &'a mut Problems<'b>,
     pub(super) names: Names,
+    pub(super) meshes: Meshes<'a>,
 }
 
 impl Reading<'_, '_> {
@@ -259,6 +268,12 @@ impl Reading<'_, '_> {
         let fixtures = self.fixtures(&document, &mut nominal);
         // Regions may be in parts, and parts may start in regions: names first.
         let parts = self.parts(&document, &mut nominal);
+        let convex = fixtures.iter().map(|fixture| fixture.shapes.len()).sum::<usize>()
+            + nominal.parts.iter().map(|part| part.shapes.len()).sum::<usize>();
+        if convex > MOST_CONVEX {
+            let what = format!("the bodies have {convex} convex shapes. At most {MOST_CONVEX} are accepted");
+            self.problems.at(0, what, "give meshes fewer `pieces`");
+        }
         self.regions(&document);
         let parts = self.with_starts(&document, parts);
         let parameters = self.parameters(&document, &mut nominal);
@@ -308,6 +323,8 @@ impl Reading<'_, '_> {
             measures,
             cases,
             text: text.to_owned(),
+            files: self.meshes.files,
+            figures: self.meshes.figures,
             document,
         };
         if let (Some(text), Some((_, plug_in))) = (&model.document.foresight, foresight) {
@@ -395,41 +412,8 @@ impl Reading<'_, '_> {
         found
     }
 
-    fn placed(&mut self, at: Option<&Text>, rotation: Option<&Text>) -> Placed {
+    pub(super) fn placed(&mut self, at: Option<&Text>, rotation: Option<&Text>) -> Placed {
         Placed { at: self.triple(at, Dimension::LENGTH), rotation: self.triple(rotation, Dimension::ANGLE) }
-    }
-
-    fn shape(&mut self, shape: &ShapeTable, owner: &Text) -> Option<Part> {
-        let pose = self.placed(shape.at.as_ref(), shape.rotation.as_ref()).pose();
-        let (text, primitive) = match (&shape.cuboid, &shape.cylinder, &shape.sphere) {
-            (Some(text), None, None) => {
-                let edges: [f64; 3] = self.problems.take(text, quantities(&text.text, Dimension::LENGTH))?;
-                (text, Primitive::Box { half: edges.map(|edge| 0.5 * edge) })
-            }
-            (None, Some(text), None) => {
-                let [diameter, height] = self.problems.take(text, quantities(&text.text, Dimension::LENGTH))?;
-                (text, Primitive::Cylinder { radius: 0.5 * diameter, half_height: 0.5 * height })
-            }
-            (None, None, Some(text)) => {
-                let [diameter] = self.problems.take(text, quantities(&text.text, Dimension::LENGTH))?;
-                (text, Primitive::Sphere { radius: 0.5 * diameter })
-            }
-            _ => {
-                self.problems.of(owner, "a shape of this body needs exactly one of `box`, `cylinder` and `sphere`");
-                return None;
-            }
-        };
-        if primitive.half_extent().iter().any(|half| !(5e-4..=2.5).contains(half)) {
-            self.problems.of(text, format!("`{}` is out of range. Expected 1 mm to 5 m", text.text));
-        }
-        Some(Part { primitive, pose })
-    }
-
-    fn shapes(&mut self, shapes: &[ShapeTable], owner: &Text) -> Vec<Part> {
-        if shapes.is_empty() {
-            self.problems.of(owner, format!("`{}` has no shapes. Expected at least one", owner.text));
-        }
-        shapes.iter().filter_map(|shape| self.shape(shape, owner)).collect()
     }
 
     fn fixtures(&mut self, document: &Document, nominal: &mut Numbers) -> Vec<FixtureModel> {
@@ -465,10 +449,11 @@ impl Reading<'_, '_> {
                     format!("`{}` moves, so a part on a joint cannot be in it. Leave out `in` or `joint`", text.text);
                 self.problems.of(text, why);
             }
+            let shapes = self.shapes(&table.shapes, &table.name);
             nominal.parts.push(PartNumbers {
                 placed,
-                mass_kg: self.number(&table.mass, Dimension::MASS, [1e-3, 100.0]).unwrap_or(1.0),
-                shapes: self.shapes(&table.shapes, &table.name),
+                mass_kg: self.mass(table, &shapes),
+                shapes,
                 spread_m: self.optional(table.spread.as_ref(), Dimension::LENGTH, [0.0, 1.0], 0.0),
                 spin_rad: self.optional(table.spin.as_ref(), Dimension::ANGLE, [0.0, 3.2], 0.0),
                 joint: joint.map(|(joint, _)| joint),
@@ -577,17 +562,4 @@ fn check_instruction(problems: &mut Problems<'_>, names: &Names, text: &Text) {
             problems.of(text, why);
         }
     }
-}
-
-/// The lowest and the highest point of shapes in the frame of their body, in metres.
-pub(super) fn heights(shapes: &[Part]) -> [f64; 2] {
-    let of = |part: &Part| {
-        let half = Vector3::from(part.primitive.half_extent());
-        let reach = part.pose.rotation.to_rotation_matrix().matrix().row(2).transpose().abs().dot(&half);
-        [part.pose.translation.z - reach, part.pose.translation.z + reach]
-    };
-    shapes
-        .iter()
-        .map(of)
-        .fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], [bottom, top]| [low.min(bottom), high.max(top)])
 }

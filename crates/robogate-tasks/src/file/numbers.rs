@@ -159,18 +159,18 @@ impl PartNumbers {
 
     fn resize(&mut self, size_m: f64) {
         for part in &mut self.shapes {
-            part.primitive = match part.primitive {
-                Primitive::Box { .. } => Primitive::Box { half: [0.5 * size_m; 3] },
-                Primitive::Sphere { .. } => Primitive::Sphere { radius: 0.5 * size_m },
-                other @ Primitive::Cylinder { .. } => other,
-            };
+            match &mut part.primitive {
+                Primitive::Box { half } => *half = [0.5 * size_m; 3],
+                Primitive::Sphere { radius } => *radius = 0.5 * size_m,
+                Primitive::Cylinder { .. } | Primitive::Hull(_) => {}
+            }
         }
     }
 }
 
 /// The edge of one cube or the diameter of one ball, in metres. `None` for other shapes.
 pub(super) fn edge_m<'a>(mut shapes: impl Iterator<Item = &'a Primitive>) -> Option<f64> {
-    let shape = shapes.next().filter(|shape| !matches!(shape, Primitive::Cylinder { .. }))?;
+    let shape = shapes.next().filter(|shape| matches!(shape, Primitive::Box { .. } | Primitive::Sphere { .. }))?;
     let [x, y, z] = shape.half_extent();
     (shapes.next().is_none() && (x - y).abs() + (x - z).abs() < 1e-9).then_some(2.0 * x)
 }

@@ -17,6 +17,7 @@ impl Dimension {
     pub(super) const SPEED: Self = Self([1, 0, -1, 0]);
     pub(super) const TURNING: Self = Self([0, 0, -1, 1]);
     pub(super) const ACCELERATION: Self = Self([1, 0, -2, 0]);
+    pub(super) const DENSITY: Self = Self([-3, 1, 0, 0]);
 
     pub(super) fn times(self, other: Self) -> Self {
         Self(std::array::from_fn(|i| self.0[i] + other.0[i]))
@@ -60,6 +61,7 @@ impl fmt::Display for Dimension {
             Self::ANGLE => "an angle, such as `30 deg`",
             Self::FORCE => "a force, such as `20 N`",
             Self::SPEED => "a speed, such as `5 cm/s`",
+            Self::DENSITY => "a density, such as `2.7 g/cm^3`",
             Self::TURNING => "a speed, such as `20 deg/s`",
             _ => return write!(f, "a quantity in {}", self.unit()),
         })

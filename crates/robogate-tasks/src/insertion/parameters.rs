@@ -37,8 +37,8 @@ impl InSurroundings for Settings {
 fn walls(engine: &Readback) -> Vec<([f64; 3], Isometry3<f64>)> {
     let mut walls: Vec<_> = engine.fixtures.iter().collect();
     walls.sort_by_key(|read| read.fixture);
-    let shape = |primitive: Option<Primitive>| primitive.map_or([f64::NAN; 3], |primitive| primitive.half_extent());
-    walls.into_iter().map(|read| (shape(read.primitive), read.pose)).collect()
+    let shape = |primitive: Option<&Primitive>| primitive.map_or([f64::NAN; 3], |primitive| primitive.half_extent());
+    walls.into_iter().map(|read| (shape(read.primitive.as_ref()), read.pose)).collect()
 }
 
 /// The parts of the block in the engine that differ from the block of the settings with this chamfer, or are missing.

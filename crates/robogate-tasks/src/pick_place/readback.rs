@@ -22,7 +22,10 @@ impl Acting<'_, Told> {
         self.found.engine.fixtures.iter().filter(move |read| {
             self.settings.cell.scene.fixtures.get(read.fixture).is_some_and(|fixture| {
                 fixture.kind == kind
-                    && read.primitive.is_some_and(|primitive| same_primitive(&fixture.part.primitive, &primitive))
+                    && read
+                        .primitive
+                        .as_ref()
+                        .is_some_and(|primitive| same_primitive(&fixture.part.primitive, primitive))
                     && same_pose(&fixture.part.pose, &read.pose)
             })
         })
@@ -135,7 +138,7 @@ pub(super) fn obstacle_gap(context: &Context<'_>) -> f64 {
         });
     let gaps = obstacles.flat_map(|read| {
         let at = read.pose.translation.vector.xy();
-        let radius = read.primitive.map_or(f64::NAN, footprint);
+        let radius = read.primitive.as_ref().map_or(f64::NAN, footprint);
         areas.map(|(centre, area)| (at - centre).norm() - area - radius)
     });
     let requested = context.settings.cell.parameters.obstacle_gap_m;
@@ -144,10 +147,13 @@ pub(super) fn obstacle_gap(context: &Context<'_>) -> f64 {
 }
 
 /// Radius of the bounding circle of a primitive's footprint, in metres.
-fn footprint(primitive: Primitive) -> f64 {
+fn footprint(primitive: &Primitive) -> f64 {
     match primitive {
-        Primitive::Box { half: [x, y, _] } => x.hypot(y),
-        Primitive::Cylinder { radius, .. } | Primitive::Sphere { radius } => radius,
+        Primitive::Cylinder { radius, .. } | Primitive::Sphere { radius } => *radius,
+        _ => {
+            let [x, y, _] = primitive.half_extent();
+            x.hypot(y)
+        }
     }
 }
 
@@ -174,7 +180,7 @@ mod tests {
         let scene = &cell.scene;
         let fixtures = scene.fixtures.iter().enumerate().map(|(i, fixture)| FixtureRead {
             fixture: i,
-            primitive: Some(fixture.part.primitive),
+            primitive: Some(fixture.part.primitive.clone()),
             pose: fixture.part.pose,
             motion: fixture.motion,
         });
@@ -186,7 +192,7 @@ mod tests {
             arm_stiffness: Some(scene.arm_stiffness),
             mass_kg: scene.object.mass.mass_kg,
             centre_of_mass: scene.object.mass.centre,
-            parts: scene.object.parts.iter().map(|part| part.primitive).collect(),
+            parts: scene.object.parts.iter().map(|part| part.primitive.clone()).collect(),
             object: scene.object_pose,
             others: Vec::new(),
             fixtures: fixtures.collect(),

@@ -114,7 +114,7 @@ fn obstacle(stream: &mut Stream, scale: f64, taken: &[([f64; 2], f64)]) -> Optio
         free.then(|| {
             let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw);
             let pose = Isometry3::from_parts(Translation3::new(at[0], at[1], half_height), rotation);
-            (Part { primitive, pose }, (at, footprint))
+            (Part { primitive: primitive.clone(), pose }, (at, footprint))
         })
     })
 }

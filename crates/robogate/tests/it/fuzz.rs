@@ -10,7 +10,7 @@ use robogate_campaign::Plan;
 use robogate_core::{ParameterSpace, Suite};
 use robogate_gate::{Baseline, Requirements};
 use robogate_monitor::service::Batch;
-use robogate_physics::{Robot, RobotSettings, description::Description};
+use robogate_physics::{Mesh, Pieces, Robot, RobotSettings, Triangles, description::Description};
 use robogate_policy::{Profile, Statistics, TaskMap};
 use robogate_testing::fuzz::{self, Target, mutate};
 use tempfile::TempDir;
@@ -215,6 +215,32 @@ fn fuzzed_tasks_are_read_or_refused() {
         .flat_map(|task| files(&format!("assets/tasks/{task}"), "task.toml"))
         .collect();
     texts("task.toml", &valid, TOML, |text| robogate_tasks::file::FileTask::read(text).is_ok());
+}
+
+#[test]
+fn fuzzed_meshes_are_read_or_refused() {
+    let mut stl = vec![0; 80];
+    stl.extend(4_u32.to_le_bytes());
+    for corners in [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]] {
+        let points = [[0.0_f32, 0.0, 0.0], [0.05, 0.0, 0.0], [0.0, 0.04, 0.0], [0.0, 0.0, 0.03]];
+        let numbers = [0.0_f32; 3].into_iter().chain(corners.into_iter().flat_map(|corner: usize| points[corner]));
+        stl.extend(numbers.flat_map(f32::to_le_bytes));
+        stl.extend([0, 0]);
+    }
+    let mut valid = files("assets/tasks/pipe_clamp/meshes", ".obj");
+    valid.push(stl);
+    let words = &["\n", "v 1 2 3\n", "f 1 2 3\n", "f 1 2 3 4 5\n", "-1", "0", "1e308", "nan", "/", "vertex 0 0 0\n"];
+    // A mesh in metres or millimetres is divided into pieces.
+    let read = |bytes: &[u8]| {
+        let Ok(triangles) = Triangles::read(bytes, 2_000) else { return false };
+        [1.0, 1e-3].iter().any(|unit_m| {
+            Mesh::new(&triangles, *unit_m).is_ok_and(|mesh| {
+                Pieces::of(&mesh, 4)
+                    .is_ok_and(|pieces| (1..=4).contains(&pieces.parts.len()) && pieces.volume.is_finite())
+            })
+        })
+    };
+    Target { name: "mesh", valid: &valid, kept: &[], words, inputs: 200 }.run(read);
 }
 
 /// A folder with a copy of the robot `name`, and the name of its model.

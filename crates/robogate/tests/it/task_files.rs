@@ -51,6 +51,59 @@ fn record_contains_task() {
     verb(at, "verify evidence --rerun 2", 0, &["with the same outcome, measures and trajectory"]);
 }
 
+/// The same for a task with meshes: evidence has them, and the page of episodes draws them.
+#[test]
+fn record_contains_meshes() {
+    let dir = TempDir::new().unwrap();
+    let at = dir.path();
+    let cell = at.join("cell");
+    fs::create_dir_all(cell.join("meshes")).unwrap();
+    for file in ["task.toml", "meshes/clamp.obj", "meshes/saddle.obj"] {
+        fs::copy(Path::new(&shipped("pipe_clamp")).join(file), cell.join(file)).unwrap();
+    }
+    verb(
+        at,
+        "tasks check cell",
+        0,
+        &["mesh meshes/clamp.obj: 104 triangles", "convex pieces in contacts", "% of its volume"],
+    );
+    verb(at, "run --task cell -n 4 --threads 1 --out one", 0, &[]);
+    verb(at, "report one --out one.html", 0, &[]);
+    fs::remove_dir_all(&cell).unwrap();
+    verb(at, "replay one 2", 0, &["gripper closes"]);
+    verb(at, "evidence one evidence --requirements default", 3, &[]);
+    verb(at, "verify evidence --rerun 1", 0, &["with the same outcome, measures and trajectory"]);
+    let plan = fs::read_to_string(at.join("one/plan.json")).unwrap();
+    assert!(plan.contains("\"meshes/clamp.obj\""), "{plan}");
+    // A changed mesh in the record is another one.
+    let changed = plan.replacen("IyBBIH", "IyBCIH", 1);
+    assert_ne!(plan, changed);
+    fs::write(at.join("one/plan.json"), changed).unwrap();
+    assert_ne!(robogate_in(at, &["verify", "one"]).status.code(), Some(0));
+}
+
+#[test]
+fn unreadable_meshes_are_usage_errors() {
+    let dir = TempDir::new().unwrap();
+    let at = dir.path();
+    let cell = at.join("cell");
+    fs::create_dir_all(cell.join("meshes")).unwrap();
+    let from = shipped("pipe_clamp");
+    fs::copy(Path::new(&from).join("task.toml"), cell.join("task.toml")).unwrap();
+    fs::copy(Path::new(&from).join("meshes/saddle.obj"), cell.join("meshes/saddle.obj")).unwrap();
+    let check =
+        |expected: &str| assert_exit_in(at, &["tasks", "check", "cell"], 2, &["cell/task.toml", "line 24", expected]);
+    check("meshes/clamp.obj: there is no such file in the folder of the task");
+    fs::write(cell.join("meshes/clamp.obj"), "version https://git-lfs.github.com/spec/v1\noid sha256:0\n").unwrap();
+    check("Fetch the file with `git lfs pull`");
+    #[cfg(unix)]
+    {
+        fs::remove_file(cell.join("meshes/clamp.obj")).unwrap();
+        std::os::unix::fs::symlink(Path::new(&from).join("meshes/clamp.obj"), cell.join("meshes/clamp.obj")).unwrap();
+        check("it is a link to a file outside of the folder of the task");
+    }
+}
+
 #[test]
 fn broken_tasks_are_usage_errors() {
     let dir = TempDir::new().unwrap();
