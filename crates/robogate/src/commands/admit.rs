@@ -52,6 +52,8 @@ pub(crate) struct Admit {
 struct Document<'a> {
     format: u32,
     admitted: bool,
+    policy: &'a str,
+    fingerprint_sha256: String,
     requests: usize,
     #[serde(skip_serializing_if = "Option::is_none")]
     largest_difference: Option<f64>,
@@ -74,6 +76,8 @@ impl Admit {
             let document = Document {
                 format: 1,
                 admitted: admission.is_admitted(),
+                policy: &self.policy,
+                fingerprint_sha256: self.fingerprint_sha256()?,
                 requests: admission.requests,
                 largest_difference: admission.largest.filter(|largest| largest.is_finite()),
                 tolerance: admission.tolerance,
@@ -85,6 +89,14 @@ impl Admit {
             self.print(&admission);
         }
         Ok(if admission.is_admitted() { DONE } else { FAIL })
+    }
+
+    /// SHA-256 (hex) of the file, by which evidence recognises the result.
+    fn fingerprint_sha256(&self) -> Result<String, Exit> {
+        let path = &self.fingerprint;
+        let file = if path.is_dir() { path.join(FINGERPRINT) } else { path.clone() };
+        let bytes = fs::read(&file).with_context(|| format!("cannot read {}", file.display())).or_usage()?;
+        Ok(hex(&Sha256::digest(&bytes)))
     }
 
     fn compare(&self, judged: &Fingerprint) -> Result<Admission, Exit> {

@@ -8,7 +8,7 @@ use robogate_analysis::Source;
 use robogate_core::TaskSpec;
 use robogate_dictionary::{LostEpisode, Place, PolicyRecord, Provenance, World};
 use robogate_gate::evidence::{
-    Content, Documents, Ingredients, PrivateKey, REGISTRATION, REGISTRATION_KEY, Role, write,
+    Content, Ingredients, PrivateKey, REGISTRATION, REGISTRATION_KEY, Role, write,
 };
 use robogate_gate::{Asked, REPEATED, Record, Requirements, Sampling};
 
@@ -56,10 +56,16 @@ pub(crate) struct Evidence {
     /// Add the folder `compliance` with the verdict as a page and as JUnit, and a CycloneDX list of components (SBOM)
     #[arg(long)]
     compliance: bool,
+    /// Add the safety case: a page and an argument in Goal Structuring Notation, from the files of the evidence to the claim that the policy
+    /// may run, with what can defeat it and the clauses that it can support. Conformity is not claimed
+    #[arg(long)]
+    safety_case: bool,
     /// Sign with this private key; without one the evidence is unsigned
     #[arg(long, value_name = "PRIVATE")]
     key: Option<PathBuf>,
-    /// Add a file: suite=FILE, robot=FILE-OR-FOLDER, environment=FILE-OR-FOLDER, policy=FILE, attachment=FILE
+    /// Add a file: suite=FILE, robot=FILE-OR-FOLDER, environment=FILE-OR-FOLDER, policy=FILE, attachment=FILE; for the safety case also
+    /// what came after the gate: admission=JSON of `admit --json`, monitor=FILE of `monitor reference`, warning=FILE of `warn train`,
+    /// requalification=JSON of `requalify --json`, fleet=fleet-result.json
     #[arg(long, value_name = "ROLE=FILE")]
     include: Vec<String>,
 }
@@ -155,7 +161,7 @@ impl Evidence {
             sampling: self.sampling(asked.as_ref()).or_usage()?,
             reasked: self.reasked,
             others,
-            documents: Some(if self.compliance { compliance::documents as Documents } else { compliance::index }),
+            documents: Some(compliance::documents(self.compliance, self.safety_case)),
         };
         // Read before the evaluation, so that an unusable key is reported early.
         let key = self.key.as_deref().map(PrivateKey::read).transpose()?;
@@ -245,9 +251,15 @@ fn add(include: &str, others: &mut Vec<(Role, String, Content)>) -> anyhow::Resu
         "robot" => Role::Robot,
         "environment" => Role::Environment,
         "policy" => Role::Policy,
+        "admission" => Role::Admission,
+        "monitor" => Role::Monitor,
+        "warning" => Role::Warning,
+        "requalification" => Role::Requalification,
+        "fleet" => Role::Fleet,
         "attachment" => Role::Attachment,
         _ => anyhow::bail!(
-            "--include {include}: unknown role `{word}`. Expected suite, robot, environment, policy or attachment"
+            "--include {include}: unknown role `{word}`. Expected suite, robot, environment, policy, admission, monitor, warning, \
+             requalification, fleet or attachment"
         ),
     };
     let path = Path::new(path);
