@@ -9,11 +9,16 @@ use robogate_core::{Domain, Parameter, Spread, Suite, Value};
 use robogate_dictionary::Provenance;
 use robogate_stats::format::is_deceptive;
 
+/// The suite that rows were sampled from, if there is one.
+pub(crate) fn suite_of(provenance: &Provenance) -> Option<Suite> {
+    let suite = provenance.plan.pointer("/suite/suite").cloned();
+    suite.and_then(|suite| serde_json::from_value(suite).ok())
+}
+
 /// The operating ranges of rows: their space. A number that all scenarios of a suite share is constant, although the space has a small
 /// range for it.
 pub fn operating_ranges(provenance: &Provenance) -> Vec<Parameter> {
-    let suite = provenance.plan.pointer("/suite/suite").cloned();
-    let suite: Option<Suite> = suite.and_then(|suite| serde_json::from_value(suite).ok());
+    let suite = suite_of(provenance);
     let constant = |name: &str| {
         let of = suite.iter().flat_map(Suite::cases).flat_map(|case| &case.parameters).filter(|(of, _)| **of == *name);
         let mut values = of.map(|(_, spread)| match spread {

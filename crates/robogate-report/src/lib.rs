@@ -48,7 +48,8 @@ pub use json::{
 pub use markdown::{comparison_markdown, markdown, markdown_with};
 pub use plain::{Line, analysis_text, comparison_text, transfer_text};
 pub use safety::{
-    Answered, Claim, Clause, Defeater, Note, NoteKind, OPERATING_DOMAIN, SafetyCase, Solution, Support, safety_case_html,
+    Answered, Claim, Clause, Defeater, Note, NoteKind, OPERATING_DOMAIN, SafetyCase, Solution, Support,
+    safety_case_html,
 };
 pub use text::{ComparisonHeadline, Headline, TransferHeadline, comparison_limits, limits};
 pub use watch::{Strip, Watch, WatchItem};

@@ -15,9 +15,7 @@ use robogate_gate::evidence::{
     Documents, EnvironmentBinding, Judged, MANIFEST, Manifest, PolicyBinding, Problem, Role,
 };
 use robogate_gate::{Evaluation, Metric, operating_domain, operating_ranges};
-use robogate_report::{
-    OPERATING_DOMAIN, SafetyCase, evidence_html, junit, of_invalid, safety_case_html, verdict_html,
-};
+use robogate_report::{OPERATING_DOMAIN, SafetyCase, evidence_html, junit, of_invalid, safety_case_html, verdict_html};
 use robogate_session::SOURCE_SHA256;
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
@@ -33,8 +31,9 @@ const LOCK: &str = include_str!("../../../Cargo.lock");
 
 /// The first page of the evidence.
 const INDEX: &str = "index.html";
-/// The verdict as a page, which shows that a folder has the compliance pack.
+/// The verdict for readers and for CI.
 const VERDICT: &str = "compliance/verdict.html";
+const JUNIT: &str = "compliance/gate.junit.xml";
 /// The safety case for readers and for tools.
 const SAFETY_CASE: &str = "safety-case.html";
 const ARGUMENT: &str = "safety-case.gsn.yaml";
@@ -61,7 +60,7 @@ fn all(judged: &Judged<'_>, compliance: bool, safety_case: bool) -> Vec<(String,
         let sbom = serde_json::to_string_pretty(&sbom(evaluation, provenance)).unwrap_or_default() + "\n";
         documents.extend([
             (VERDICT, verdict_html(evaluation, &origin(provenance)).into_bytes()),
-            ("compliance/gate.junit.xml", junit(evaluation).into_bytes()),
+            (JUNIT, junit(evaluation).into_bytes()),
             (SBOM, sbom.into_bytes()),
         ]);
     }
@@ -149,9 +148,9 @@ pub(crate) fn check(folder: &Path) -> anyhow::Result<(Vec<Problem>, bool)> {
         let reason = other_summary(&dictionary, &read(&listed.path)?);
         problems.extend(reason.map(|reason| Problem::new(&*listed.path, reason)));
     }
-    let has = |name: &str| manifest.files.iter().any(|file| file.path == name);
+    let has = |names: &[&str]| manifest.files.iter().any(|file| names.contains(&file.path.as_str()));
     let judged = Judged::of(folder, &evaluation, &dictionary, &manifest.files, manifest.margin)?;
-    let expected = documents(has(VERDICT), has(SAFETY_CASE) || has(ARGUMENT))(&judged);
+    let expected = documents(has(&[VERDICT, JUNIT, SBOM]), has(&[SAFETY_CASE, ARGUMENT]))(&judged);
     for listed in of(Role::Compliance) {
         let (found, written) = (read(&listed.path)?, expected.iter().find(|(name, _)| *name == listed.path));
         let reason = match written {

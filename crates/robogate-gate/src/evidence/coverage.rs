@@ -1,9 +1,10 @@
 //! Which part of the operating ranges the valid episodes cover.
 
-use robogate_core::{Domain, Outcome, Parameter};
+use robogate_core::{Domain, Outcome, Parameter, Spread, Suite};
 use robogate_stats::format::number;
 
 use super::Judged;
+use crate::operating_domain::suite_of;
 use crate::{GateError, Population, operating_ranges};
 
 /// A range counts as covered if an episode came this close to each end, as a share of the range.
@@ -39,11 +40,17 @@ pub(super) fn of(judged: &Judged<'_>) -> Result<Vec<Covered>, GateError> {
             seen.extend(value.and_then(|value| parameter.domain.encode(value)));
         }
     }
-    let sampled = match &judged.evaluation.population {
+    let sample = match &judged.evaluation.population {
         Population::Drawn { .. } | Population::Suite { fresh: true, .. } => true,
         Population::Suite { .. } | Population::Imported { .. } => false,
     };
-    Ok(parameters.iter().zip(&seen).map(|(parameter, seen)| covered(parameter, seen, sampled)).collect())
+    let suite = suite_of(judged.provenance());
+    let is_drawn = |name: &str| {
+        let cases = suite.iter().flat_map(Suite::cases).flat_map(|case| &case.parameters);
+        cases.filter(|(of, _)| **of == *name).any(|(_, spread)| matches!(spread, Spread::Drawn(_)))
+    };
+    let of = |(parameter, seen): (&Parameter, &Vec<f64>)| covered(parameter, seen, sample || is_drawn(&parameter.name));
+    Ok(parameters.iter().zip(&seen).map(of).collect())
 }
 
 fn covered(parameter: &Parameter, seen: &[f64], sampled: bool) -> Covered {
@@ -57,7 +64,8 @@ fn covered(parameter: &Parameter, seen: &[f64], sampled: bool) -> Covered {
     let missing = match &parameter.domain {
         _ if seen.is_empty() => Some("no valid episode has a value".to_owned()),
         Domain::Categorical { choices } => {
-            let without = choices.iter().enumerate().filter(|(at, _)| !seen.iter().any(|x| (x - *at as f64).abs() < 0.5));
+            let without =
+                choices.iter().enumerate().filter(|(at, _)| !seen.iter().any(|x| (x - *at as f64).abs() < 0.5));
             let without: Vec<&str> = without.map(|(_, choice)| &**choice).collect();
             (!without.is_empty()).then(|| format!("no valid episode with {}", without.join(", ")))
         }

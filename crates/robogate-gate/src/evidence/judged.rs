@@ -94,6 +94,7 @@ impl<'a> Judged<'a> {
 /// The content of a file of the folder as JSON.
 pub(super) fn json(folder: &Path, file: &FileRecord) -> Result<Value, Problem> {
     let wrong = |reason: String| Problem::new(file.path.as_str(), reason);
-    let text = read_regular_text(&folder.join(&file.path)).map_err(|error| wrong(format!("cannot be read: {error}")))?;
+    let text =
+        read_regular_text(&folder.join(&file.path)).map_err(|error| wrong(format!("cannot be read: {error}")))?;
     Budget::FILE.json(text.as_bytes()).map_err(|error| wrong(format!("not JSON: {error}")))
 }

@@ -9,8 +9,8 @@ use robogate_dictionary::{Dictionary, Tool, files};
 use super::manifest::is_plain;
 use super::{
     AGAINST, ATTESTATION, BARE_ENDING, BASELINE, DICTIONARY, EVALUATION, Envelope, EvidenceError, FileRecord, Judged,
-    MANIFEST, Manifest, PAYLOAD_TYPE, PrivateKey, QuestionBinding, REQUIREMENTS, Role, SIGNED_ENDING, SIGNER, TEST_RESULT, facts,
-    statement,
+    MANIFEST, Manifest, PAYLOAD_TYPE, PrivateKey, QuestionBinding, REQUIREMENTS, Role, SIGNED_ENDING, SIGNER,
+    TEST_RESULT, facts, statement,
 };
 use crate::{RealEvidence, Sampling};
 

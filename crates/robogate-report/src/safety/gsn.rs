@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use robogate_stats::format::is_deceptive;
 
-use super::{Answered, Claim, Defeater, NoteKind, SafetyCase};
+use super::{Answered, Claim, Defeater, NoteKind, SafetyCase, Solution};
 
 impl SafetyCase {
     /// The argument in Goal Structuring Notation: YAML as gsn2x reads it. Equal arguments give equal bytes.
@@ -23,14 +23,12 @@ impl SafetyCase {
             yaml.element(name, &note.text);
         }
         for (name, clause) in clauses.iter().zip(&self.clauses) {
-            let text = format!("{}, {}: {}. The evidence can contribute {}.", clause.source, clause.number, clause.title, clause.contributes);
+            let text = format!(
+                "{}, {}: {}. The evidence can contribute {}.",
+                clause.source, clause.number, clause.title, clause.contributes
+            );
             yaml.element(name, &text);
             yaml.text("clause", &format!("{} {}", clause.source, clause.number));
-        }
-        for (at, solution) in self.solutions.iter().enumerate() {
-            yaml.element(&format!("Sn-{}", at + 1), &format!("{}: {}. SHA-256 {}", solution.path, solution.what, solution.sha256));
-            yaml.text("sha256", &solution.sha256);
-            yaml.text("url", &solution.path);
         }
         yaml.0
     }
@@ -41,24 +39,37 @@ impl SafetyCase {
         yaml.text("status", claim.support.as_str());
         yaml.text("because", &claim.because);
         let strategy = format!("S-{}", claim.name);
-        let below = if claim.parts.is_empty() { self.solutions_of(&claim.files) } else { vec![strategy.clone()] };
+        // Each claim has solutions of its own: gsn2x draws a tree.
+        let of = |path: &String| self.solutions.iter().find(|solution| solution.path == *path);
+        let solutions: Vec<&Solution> = claim.files.iter().filter_map(of).collect();
+        let names: Vec<String> = (1..=solutions.len()).map(|at| format!("Sn-{}-{at}", claim.name)).collect();
+        let below = if claim.parts.is_empty() { names.clone() } else { vec![strategy.clone()] };
         if below.is_empty() {
             yaml.yes("undeveloped");
         } else {
             yaml.list("supportedBy", &below);
         }
-        let clauses = self.clauses.iter().enumerate().filter(|(_, clause)| clause.claims.contains(&claim.name.as_str()));
+        let clauses =
+            self.clauses.iter().enumerate().filter(|(_, clause)| clause.claims.contains(&claim.name.as_str()));
         let clauses = clauses.map(|(at, _)| format!("C-clause-{}", at + 1));
         yaml.list("inContextOf", &context.iter().cloned().chain(clauses).collect::<Vec<String>>());
         if claim.defeaters.iter().any(|defeater| defeater.state == Answered::Confirmed) {
             yaml.yes("defeated");
+        }
+        for (name, solution) in names.iter().zip(&solutions) {
+            yaml.element(name, &format!("{}: {}. SHA-256 {}", solution.path, solution.what, solution.sha256));
+            yaml.text("sha256", &solution.sha256);
+            yaml.text("url", &solution.path);
         }
         for defeater in &claim.defeaters {
             self.defeater(yaml, defeater, &id);
         }
         if !claim.parts.is_empty() {
             yaml.element(&strategy, &claim.strategy);
-            yaml.list("supportedBy", &claim.parts.iter().map(|part| format!("G-{}", part.name)).collect::<Vec<String>>());
+            yaml.list(
+                "supportedBy",
+                &claim.parts.iter().map(|part| format!("G-{}", part.name)).collect::<Vec<String>>(),
+            );
             claim.parts.iter().for_each(|part| self.claim(yaml, part, &[]));
         }
     }
@@ -87,11 +98,6 @@ impl SafetyCase {
                 yaml.text("challenges", &id);
             }
         }
-    }
-
-    fn solutions_of(&self, files: &[String]) -> Vec<String> {
-        let place = |path: &String| self.solutions.iter().position(|solution| solution.path == *path);
-        files.iter().filter_map(place).map(|at| format!("Sn-{}", at + 1)).collect()
     }
 }
 

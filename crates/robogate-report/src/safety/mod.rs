@@ -137,10 +137,8 @@ impl Claim {
         let worst = parts.iter().map(|part| part.support).chain([own.support]).max();
         let support = if parts.is_empty() { Support::Undeveloped } else { worst.unwrap_or(own.support) };
         let of = |support| parts.iter().filter(move |part| part.support == support).count();
-        let [supported, undeveloped, not] =
-            [Support::Supported, Support::Undeveloped, Support::NotSupported].map(of);
-        let because =
-            format!("Parts: {supported} supported, {undeveloped} undeveloped, {not} not supported.");
+        let [supported, undeveloped, not] = [Support::Supported, Support::Undeveloped, Support::NotSupported].map(of);
+        let because = format!("Parts: {supported} supported, {undeveloped} undeveloped, {not} not supported.");
         Self { support, because, files: Vec::new(), strategy: strategy.to_owned(), parts, ..own }
     }
 

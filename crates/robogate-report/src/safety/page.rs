@@ -21,7 +21,9 @@ pub fn safety_case_html(case: Result<&SafetyCase, &str>) -> String {
     let not = of(Support::NotSupported).collect::<Vec<String>>();
     let open = of(Support::Undeveloped).collect::<Vec<String>>();
     let notes = |kind: NoteKind| {
-        case.notes.iter().filter(|note| note.kind == kind).map(|note| note.text.clone()).collect::<Vec<String>>()
+        // What is not claimed stands above the clauses.
+        let of_kind = case.notes.iter().filter(|note| note.kind == kind && note.name != "conformity");
+        of_kind.map(|note| note.text.clone()).collect::<Vec<String>>()
     };
     let sections = [
         ("Argument", "argument", html! { (legend()) ul.argument { (branch(claim)) } }),
@@ -44,7 +46,7 @@ pub fn safety_case_html(case: Result<&SafetyCase, &str>) -> String {
             p.sub { (prose(&claim.text)) }
             p.sub { (prose(&claim.because)) }
             div.three {
-                @for (title, texts) in [("Contradicted", &not), ("Missing or open", &open)] {
+                @for (title, texts) in [("Contradicted claims", &not), ("Undeveloped claims", &open)] {
                     @if !texts.is_empty() {
                         section { h2 { (title) } ul { @for text in texts { li { (prose(text)) } } } }
                     }
@@ -82,15 +84,23 @@ fn legend() -> Markup {
     }
 }
 
-/// A claim with everything below it.
+/// A claim with everything below it. Supported ranges are one line each, with their files at their common claim.
 fn branch(claim: &Claim) -> Markup {
     let class = claim.support.as_str().replace(' ', "-");
+    let is_short = claim.name.starts_with("range-") && claim.support == Support::Supported;
+    let ranges = if claim.name == "ranges" { claim.parts.first() } else { None };
+    let files = ranges.map_or(&claim.files, |part| &part.files);
     html! {
         li id=(claim.name) {
             p { span class={ "zone " (class) } { (claim.support.as_str()) } " " b { (prose(&claim.text)) } }
-            @if !claim.because.is_empty() { p.remark { (rich(&claim.because)) } }
-            @if !claim.files.is_empty() {
-                p.remark { "Evidence: " @for (at, file) in claim.files.iter().enumerate() { @if at > 0 { ", " } a href=(file) { (prose(file)) } } }
+            @if !is_short {
+                p.remark { (rich(&claim.because)) }
+                @if !files.is_empty() {
+                    p.remark {
+                        "Evidence: "
+                        @for (at, file) in files.iter().enumerate() { @if at > 0 { ", " } a href=(file) { (prose(file)) } }
+                    }
+                }
             }
             @if !claim.parts.is_empty() { ul { @for part in &claim.parts { (branch(part)) } } }
         }
@@ -108,7 +118,7 @@ fn defeaters(claim: &Claim) -> Table {
                 super::Answered::Yes => 2,
             };
             let cells = [defeater.state.as_str(), &defeater.text, &claim.text, &defeater.because];
-            (order, cells.map(str::to_owned).to_vec())
+            (order, cells.map(|text| text.replace('`', "")).to_vec())
         }));
     }
     rows.sort_by_key(|(order, _)| *order);

@@ -15,7 +15,9 @@ fn defeater(name: &str, text: &str, state: Answered, because: impl Into<String>,
 pub(super) fn question(judged: &Judged<'_>) -> Claim {
     let files = paths(judged, &[Role::Question, Role::Registration, Role::Requirements]);
     let (state, question) = match &judged.question {
-        QuestionBinding::AsAsked => (Answered::Yes, "The rows name the hash of the question that the gate was asked.".to_owned()),
+        QuestionBinding::AsAsked => {
+            (Answered::Yes, "The rows name the hash of the question that the gate was asked.".to_owned())
+        }
         QuestionBinding::Reasked { changed } => {
             (Answered::Confirmed, format!("These differ from what the gate was asked: {}.", changed.join(", ")))
         }
@@ -28,7 +30,9 @@ pub(super) fn question(judged: &Judged<'_>) -> Claim {
         }
         Some(Registered { number, .. }) => (
             Answered::Open,
-            format!("The run is registration {number} of its key: the earlier ones may be attempts at the same question."),
+            format!(
+                "The run is registration {number} of its key: the earlier ones may be attempts at the same question."
+            ),
         ),
         None => (Answered::Open, "The run was not registered (`robogate gate --register`).".to_owned()),
     };
@@ -56,10 +60,15 @@ pub(super) fn cell(judged: &Judged<'_>) -> Claim {
     let files = paths(judged, &[Role::Real]);
     let (state, because) = match &evaluation.real {
         Some(real) => {
-            let of = format!("{} of {} trials of the real robot succeeded", count(real.successes()), count(real.trials()));
+            let of =
+                format!("{} of {} trials of the real robot succeeded", count(real.successes()), count(real.trials()));
             match () {
-                () if statuses.contains(&Status::Violated) => (Answered::Confirmed, format!("{of}: the requirement on them is violated.")),
-                () if statuses.is_empty() => (Answered::Open, format!("{of}, and no requirement (`real:success`) judges them.")),
+                () if statuses.contains(&Status::Violated) => {
+                    (Answered::Confirmed, format!("{of}: the requirement on them is violated."))
+                }
+                () if statuses.is_empty() => {
+                    (Answered::Open, format!("{of}, and no requirement (`real:success`) judges them."))
+                }
                 () if statuses.iter().all(|status| *status == Status::Met) => {
                     (Answered::Yes, format!("{of}: the requirement on them is met."))
                 }
@@ -73,7 +82,11 @@ pub(super) fn cell(judged: &Judged<'_>) -> Claim {
                 judged.provenance().engine.name
             ),
         ),
-        None => (Answered::Open, "All episodes are simulated, and the evidence has no trial of the real robot (`robogate trial`).".to_owned()),
+        None => (
+            Answered::Open,
+            "All episodes are simulated, and the evidence has no trial of the real robot (`robogate trial`)."
+                .to_owned(),
+        ),
     };
     let gap = defeater(
         "simulation",
@@ -94,7 +107,10 @@ pub(super) fn deployed(judged: &Judged<'_>) -> Claim {
     let (state, because) = match (refused, admissions.first()) {
         (Some(refused), _) => {
             let why = refused["differences"].as_array().and_then(|all| all.first()).and_then(Value::as_str);
-            (Answered::Confirmed, format!("A deployed policy was not admitted: {}.", why.unwrap_or("its answers differ")))
+            (
+                Answered::Confirmed,
+                format!("A deployed policy was not admitted: {}.", why.unwrap_or("its answers differ")),
+            )
         }
         (None, Some(admitted)) => (
             Answered::Yes,
@@ -122,7 +138,7 @@ pub(super) fn deployed(judged: &Judged<'_>) -> Claim {
 pub(super) fn operation(judged: &Judged<'_>) -> Claim {
     let monitors = paths(judged, &[Role::Monitor]);
     let (state, because) = match monitors.is_empty() {
-        false => (Answered::Yes, "A monitor has the ranges and rates of these episodes as its reference."),
+        false => (Answered::Yes, "A monitor has these episodes as its reference."),
         true => (
             Answered::Open,
             "Nothing in this evidence observes the cell (`robogate monitor reference`, included as monitor=FILE).",
@@ -195,7 +211,8 @@ pub(super) fn fleet(judged: &Judged<'_>) -> Option<Claim> {
         true => format!("No share of units was required (`robogate fleet --share`). {because}"),
         false => because,
     };
-    let other = defeater("other-unit", "Another unit of the robot behaves otherwise.", state, reason.clone(), files.clone());
+    let other =
+        defeater("other-unit", "Another unit of the robot behaves otherwise.", state, reason.clone(), files.clone());
     Some(Claim::on("fleet", text, reason, files, vec![other]))
 }
 

@@ -60,7 +60,8 @@ fn independent(judged: &Judged<'_>) -> Claim {
         }
         (true, _) => (
             Answered::Open,
-            "No column of the file names an operator, a day or a session, and the rows are counted as independent.".to_owned(),
+            "No column of the file names an operator, a day or a session, and the rows are counted as independent."
+                .to_owned(),
         ),
         (false, Some(repeats)) => match repeats.line() {
             Some(line) => (Answered::Open, format!("{line}.")),
@@ -81,7 +82,13 @@ fn independent(judged: &Judged<'_>) -> Claim {
         because: because.clone(),
         files: files.clone(),
     };
-    Claim::on("independence", "The episodes are independent, or count as groups that are.", because, files, vec![shared])
+    Claim::on(
+        "independence",
+        "The episodes are independent, or count as groups that are.",
+        because,
+        files,
+        vec![shared],
+    )
 }
 
 /// The valid episodes cover the operating ranges.
@@ -104,9 +111,7 @@ fn ranges(judged: &Judged<'_>) -> Claim {
         let text = format!("{}: {}.", of.parameter, of.range);
         match &of.missing {
             None => Claim::on(name, text, "Valid episodes cover it.", files(), Vec::new()),
-            Some(missing) => {
-                Claim::on(name, text, format!("Not covered: {missing}."), Vec::new(), Vec::new())
-            }
+            Some(missing) => Claim::on(name, text, format!("Not covered: {missing}."), Vec::new(), Vec::new()),
         }
     };
     let parts = covered.iter().enumerate().map(part).collect();

@@ -17,7 +17,9 @@ fn policy(judged: &Judged<'_>) -> Claim {
     let unknown = match &binding {
         PolicyBinding::File { .. } | PolicyBinding::BuiltIn => None,
         PolicyBinding::Declared { .. } => Some("The server runs another policy than the one whose digest it declares."),
-        PolicyBinding::Unbound { .. } => Some("The policy is known by its name or address only: another one may answer there."),
+        PolicyBinding::Unbound { .. } => {
+            Some("The policy is known by its name or address only: another one may answer there.")
+        }
     };
     let defeater = unknown.map(|text| Defeater {
         name: "other-policy".to_owned(),
@@ -55,7 +57,8 @@ fn environment(judged: &Judged<'_>) -> Claim {
             "The digest of the loaded library is recorded.".to_owned(),
         ),
     };
-    let defeater = Defeater { name: "other-environment".to_owned(), text: text.to_owned(), state, because, files: files.clone() };
+    let defeater =
+        Defeater { name: "other-environment".to_owned(), text: text.to_owned(), state, because, files: files.clone() };
     let because = format!("Task, world, engine, robot and parameter space have the SHA-256 {}.", binding.sha256);
     Claim::on("environment", "The environment is identified.", because, files, vec![defeater])
 }

@@ -7,9 +7,7 @@ use clap::{Args, ValueEnum};
 use robogate_analysis::Source;
 use robogate_core::TaskSpec;
 use robogate_dictionary::{LostEpisode, Place, PolicyRecord, Provenance, World};
-use robogate_gate::evidence::{
-    Content, Ingredients, PrivateKey, REGISTRATION, REGISTRATION_KEY, Role, write,
-};
+use robogate_gate::evidence::{Content, Ingredients, PrivateKey, REGISTRATION, REGISTRATION_KEY, Role, write};
 use robogate_gate::{Asked, REPEATED, Record, Requirements, Sampling};
 
 use crate::commands::gate::real_evidence_for;
@@ -81,6 +79,15 @@ enum Count {
 
 impl Evidence {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
+        if self.run.join(FLEET).is_file() {
+            return Err(anyhow::anyhow!(
+                "{}: the folder of a fleet. Each of its units has rows and a verdict of its own\nHint: write the evidence of a unit, for \
+                 example of {}; with --safety-case it includes the result of the fleet",
+                self.run.display(),
+                self.run.join("unit-001").display()
+            ))
+            .or_usage();
+        }
         let source = open_source(&self.run)?;
         if self.run.is_dir() && place::is_within(&self.out, &self.run) {
             return Err(anyhow::anyhow!(
@@ -110,6 +117,9 @@ impl Evidence {
         }
         for include in &self.include {
             add(include, &mut others).or_usage()?;
+        }
+        if self.safety_case && !others.iter().any(|(role, ..)| *role == Role::Fleet) {
+            others.extend(fleet_of(&self.run).map(|file| (Role::Fleet, FLEET_RESULT.to_owned(), Content::File(file))));
         }
         if !others.iter().any(|(role, ..)| *role == Role::Robot) && provenance.robot.sha256.is_some() {
             match recorded_robot(provenance, source.folder()) {
@@ -234,6 +244,17 @@ impl Evidence {
             None => Ok(recorded),
         }
     }
+}
+
+/// The plan of a fleet in its folder, and its result.
+const FLEET: &str = "fleet.json";
+const FLEET_RESULT: &str = "fleet-result.json";
+
+/// The result of the fleet that has this run as a unit, if it is finished.
+fn fleet_of(run: &Path) -> Option<PathBuf> {
+    let fleet = run.canonicalize().ok()?.parent()?.to_owned();
+    let result = fleet.join(FLEET_RESULT);
+    (fleet.join(FLEET).is_file() && result.is_file()).then_some(result)
 }
 
 /// The dictionary of a run's folder, or the dictionary file itself.
