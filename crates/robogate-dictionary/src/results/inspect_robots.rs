@@ -40,11 +40,9 @@ pub(super) fn read(path: &Path, sink: Sink<'_>) -> Result<Frame, DictionaryError
             format!("its schema version is {}. Expected 1", version.map_or("missing".to_owned(), |n| n.to_string()));
         return Err(DictionaryError::results(path, reason));
     }
-    // Names of the tool for the environment and its robot.
-    for (from, to) in [("embodiment", "robot"), ("environment_id", "simulator")] {
-        if let Some(value) = frame.metadata.get(from).cloned() {
-            frame.metadata.insert(to.to_owned(), value);
-        }
+    let simulated = frame.metadata.get("embodiment_info.is_simulated").and_then(Value::as_bool);
+    if simulated == Some(false) {
+        frame.metadata.entry("environment_id").or_insert_with(|| "real".into());
     }
     Ok(frame)
 }

@@ -46,11 +46,8 @@ pub(super) fn read(folder: &Path, sink: Sink<'_>) -> Result<Frame, DictionaryErr
     if let Some(total) = info.get("total_episodes").and_then(Value::as_u64).filter(|total| *total != seen) {
         return Err(refuse(format!("its {INFO} states {total} episodes, but its frames have {seen}")));
     }
-    let mut metadata = Map::new();
-    let of = |name: &str| info.get(name).filter(|value| value.is_string() || value.is_number()).cloned();
-    for (from, to) in [("codebase_version", "codebase_version"), ("robot_type", "robot"), ("fps", "fps")] {
-        metadata.extend(of(from).map(|value| (to.to_owned(), value)));
-    }
+    let names = ["codebase_version", "robot_type", "fps"];
+    let metadata = names.into_iter().filter_map(|name| Some((name.to_owned(), info.get(name)?.clone()))).collect();
     Ok(Frame { sha256: hex(&hash.finalize()), metadata, notes: Vec::new() })
 }
 

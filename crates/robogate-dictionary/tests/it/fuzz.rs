@@ -178,6 +178,7 @@ fuzzed!(
     journal,
     published,
     lerobot,
+    inspect_robots,
     vla_eval,
     csv,
     json_lines,
