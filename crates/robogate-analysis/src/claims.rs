@@ -112,10 +112,12 @@ fn advice(analysis: &Analysis) -> Vec<Advice> {
     }
     let mut advice = Vec::new();
     let invalid = analysis.success.bounds.invalid;
-    if invalid * VALID_PER_INVALID > rate.n {
+    let many_invalid = invalid * VALID_PER_INVALID > rate.n;
+    if many_invalid {
         advice.push(Advice::ReduceInvalid { invalid });
     }
-    if let Some(found) = analysis.safe_box.estimated() {
+    // A box of valid episodes says nothing about starts that make episodes invalid.
+    if let Some(found) = analysis.safe_box.estimated().filter(|_| !many_invalid) {
         let target = found.target;
         advice.push(match (found.verified, found.limits.is_empty(), found.more_episodes) {
             (true, true, _) => Advice::WholeSpace { target },

@@ -17,6 +17,8 @@ use crate::{AnalysisError, Population};
 
 /// The name of the division by the scenarios of a suite.
 const CASE: &str = "case";
+/// The name of the division by the groups of a suite, or by a column of results with this role.
+const GROUP: &str = "group";
 /// The name of the division by equal settings.
 pub(crate) const EQUAL_SETTINGS: &str = "equal settings";
 
@@ -71,7 +73,7 @@ impl Dependence {
         for name in groups {
             let clusters = labelled(table, base, name).ok_or_else(|| AnalysisError::Groups {
                 name: name.clone(),
-                known: base.parameters.iter().map(|p| p.name.clone()).chain([CASE.to_owned()]).collect(),
+                known: base.parameters.iter().map(|p| p.name.clone()).chain([CASE, GROUP].map(str::to_owned)).collect(),
             })?;
             found.push(Grouping { by: name.clone(), clusters });
         }
@@ -164,6 +166,9 @@ pub(crate) fn too_few(clusters: usize) -> Option<String> {
 fn labelled(table: &EpisodeTable, base: &Sample, name: &str) -> Option<Clusters> {
     if name == CASE {
         return table.cases.as_ref().map(|cases| Clusters::of_labels(base.rows.iter().map(|row| cases[*row as usize])));
+    }
+    if name == GROUP && !table.groups.is_empty() {
+        return Some(Clusters::of_labels(base.rows.iter().map(|row| table.groups[*row as usize])));
     }
     let plain = |column: &ParameterColumn| column.name == name || (name == "seed" && column.name == SOURCE_SEED);
     let column = base.parameters.iter().chain(&base.identifiers).find(|column| plain(column))?;

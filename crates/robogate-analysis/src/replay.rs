@@ -146,7 +146,8 @@ pub const HERE: &str = ".";
 
 /// Quotes a text as one word for a POSIX shell.
 pub fn shell_word(text: &str) -> String {
-    let plain = |c: char| c.is_alphanumeric() || matches!(c, '/' | '\\' | ':' | '.' | '_' | '-');
+    let plain =
+        |c: char| c.is_alphanumeric() || matches!(c, '/' | '\\' | ':' | '.' | '_' | '-' | '=' | ',' | '@' | '+');
     if !text.is_empty() && text.chars().all(plain) {
         text.to_owned()
     } else {
@@ -164,6 +165,9 @@ pub fn same_subject(provenance: &Provenance) -> String {
         Place::Cell(cell) => {
             add("task", provenance.task.name.as_str());
             add("robot", &cell.robot);
+            if cell.engine == "rapier" && !cell.physics_servers {
+                add("engine", &cell.engine);
+            }
         }
         Place::SelfContained => add("task", provenance.task.name.as_str()),
         Place::Python(python) => add("env", &python.environment),

@@ -66,6 +66,10 @@ impl Source {
         if path.is_dir() {
             let file = path.join(DICTIONARY);
             if !file.exists() {
+                if !path.join("plan.json").exists() {
+                    let reason = "the folder is not that of a run".to_owned();
+                    return Err(AnalysisError::NotADictionary { path: path.to_owned(), reason });
+                }
                 return Err(AnalysisError::NoDictionaryInFolder { path: path.to_owned() });
             }
             let report = path.join(BOUNDARY);

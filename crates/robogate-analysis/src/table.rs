@@ -34,6 +34,8 @@ pub(crate) struct EpisodeTable {
     pub(crate) identifiers: Vec<ParameterColumn>,
     /// The case of each row as a number, with its category and group. `None` if the rows name none.
     pub(crate) cases: Option<Vec<[u32; 3]>>,
+    /// The group of each row. Empty if no row has one.
+    pub(crate) groups: Vec<Option<u32>>,
     /// Failure modes that the source of imported rows does not record.
     pub(crate) not_recorded: Vec<String>,
     /// Whether the scenarios of the suite were new points of a space in each round.
@@ -127,6 +129,9 @@ impl EpisodeTable {
             faults,
             identifiers,
             cases: cases(dictionary)?,
+            groups: Some(categories(dictionary, "group")?.1)
+                .filter(|groups| groups.iter().any(Option::is_some))
+                .unwrap_or_default(),
             not_recorded,
             is_fresh: fresh_suite(&provenance.plan),
         })

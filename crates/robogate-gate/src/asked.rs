@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use robogate_core::budget::Budget;
-use robogate_dictionary::{hex, read_regular_text};
+use robogate_dictionary::{Provenance, hex, read_regular_text};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -58,6 +58,17 @@ impl Asked {
         }
         let text = read_regular_text(&path).map_err(|source| GateError::Unreadable { path: path.clone(), source })?;
         Self::from_json(&path, &text).map(Some)
+    }
+
+    /// Rejects a question that is not the one that the rows of its run name.
+    ///
+    /// # Errors
+    /// [`GateError::OtherQuestion`].
+    pub fn check(&self, provenance: &Provenance) -> Result<(), GateError> {
+        match &provenance.question_sha256 {
+            Some(recorded) if self.sha256() != *recorded => Err(GateError::OtherQuestion),
+            _ => Ok(()),
+        }
     }
 
     /// Parses the content of the file `path`.

@@ -68,6 +68,9 @@ pub struct Comparison {
     /// declares no stages.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stage: Option<StageComparison>,
+    /// What differs between both besides the policy, in words, A before B: the latency, the environment's file, versions.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub differs: Vec<String>,
 }
 
 /// Pairs by the share of the way to success, of which success is the last step. A policy that gets further is seen with fewer episodes than by
@@ -135,6 +138,7 @@ pub fn check_pairing(other: &Record, this: &Record, planned: Planned, margin: f6
         let baseline = other.population.to_string();
         return Err(GateError::ForeignBaseline { baseline, run: this.population.to_string() });
     }
+    check_conditions(other, this)?;
     match other.trials.first() {
         Some(first) if first.seed != planned.seed => {
             let what = format!("the seeds are {} and {}", first.seed, planned.seed);
@@ -183,6 +187,7 @@ impl Against<'_> {
             let baseline = self.record.population.to_string();
             return Err(GateError::ForeignBaseline { baseline, run: population.to_string() });
         }
+        check_conditions(self.record, record)?;
         let imported = self.record.imported || record.imported;
         let (pairs, looks) = if imported {
             let pairs = imported_pairs(self.record, record)?;
@@ -207,7 +212,8 @@ impl Against<'_> {
             return self.by_group(grouped, &twins);
         }
         let stage = StageComparison::of(&differences, &looks);
-        Ok(Comparison { stage, ..self.conclude(&twins, &looks, stated, planned)? })
+        let differs = self.record.conditions.differences(&record.conditions);
+        Ok(Comparison { stage, differs, ..self.conclude(&twins, &looks, stated, planned)? })
     }
 
     /// The comparison after all planned rounds of a suite, once if all pairs that are not invalid speak for this policy, and once if the
@@ -335,8 +341,15 @@ impl Against<'_> {
             p_violated,
             status: if none { Status::NoEvidence } else { Status::Undecided },
             stage: None,
+            differs: Vec::new(),
         })
     }
+}
+
+/// Rejects policies that were judged under other settings of the task, in another engine or on another robot.
+fn check_conditions(other: &Record, this: &Record) -> Result<(), GateError> {
+    let found = other.conditions.contradiction(&this.conditions);
+    found.map_or(Ok(()), |differences| Err(GateError::OtherConditions { differences }))
 }
 
 /// The planned number of rounds of a suite. `None` if it was not fixed before the first episode.

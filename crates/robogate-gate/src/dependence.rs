@@ -50,7 +50,13 @@ impl RowGroups {
 pub(crate) fn divide(trials: &mut [Trial], named: &[String], repeats: bool) -> Result<Vec<RowGroups>, String> {
     let mut found = Vec::new();
     for name in named {
-        let by_name = if name == "case" { Some(by_case(trials)) } else { by_value(trials, name) };
+        let by_name = match name.as_str() {
+            "case" => Some(by_case(trials)),
+            "group" if trials.iter().any(|trial| trial.label.group.is_some()) => {
+                Some(Clusters::of_labels(trials.iter().map(|trial| trial.label.group.clone())))
+            }
+            name => by_value(trials, name),
+        };
         let clusters = by_name.ok_or_else(|| name.clone())?;
         found.push(Grouping { by: name.clone(), clusters });
     }

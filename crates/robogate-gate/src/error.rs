@@ -131,6 +131,21 @@ pub enum GateError {
         /// The population of the episodes.
         run: String,
     },
+    /// Policies that were judged under other conditions.
+    #[error(
+        "the two policies were not judged alike: {differences}\nHint: run both with the same settings, engine and robot; `robogate requalify` \
+         compares one policy under two of them"
+    )]
+    OtherConditions {
+        /// What differs.
+        differences: String,
+    },
+    /// A question that was changed after the start of its gate.
+    #[error(
+        "gate-question.json is not the question that the gate was asked: the run names another one\nHint: restore the file; another question \
+         about a finished run is asked with `robogate gate --run DIR --requirements FILE` on a copy without it"
+    )]
+    OtherQuestion,
     /// A baseline in a newer format.
     #[error("unsupported baseline format {found}. Expected at most {known}\nHint: upgrade robogate")]
     NewerBaseline {

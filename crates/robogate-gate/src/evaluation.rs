@@ -14,6 +14,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::comparison::{Against, Comparison};
+use crate::conditions::changed_settings;
 use crate::dependence::mean_over_groups;
 use crate::figure::{Extremes, applies, figure};
 use crate::next_budget::NextBudget;
@@ -218,6 +219,9 @@ pub struct Evaluation {
     /// Why no further episode can give a pass. `None` if a pass is still possible, or if all planned episodes ran.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ruled_out: Option<RuledOut>,
+    /// Settings of the task that are not those that it has by default, in words.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub changed_settings: Vec<String>,
     /// How often the policy saw states outside of the published range of its checkpoint. The verdict does not depend on it.
     /// `None` if the range is unknown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -427,6 +431,7 @@ impl Question<'_> {
             controls: record.controls.clone(),
             ruled_out,
             outside_range: outside_range(record, &rounds),
+            changed_settings: changed_settings(&record.task),
             twins: None,
             nominal: None,
             clipped_actions: clipped_actions(rounds.trials()),

@@ -47,6 +47,32 @@ impl RankingGuarantee {
     }
 }
 
+/// What a ranking compares.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum RankingOutcome {
+    /// Success.
+    #[default]
+    Success,
+    /// The stages that an episode reached, of which success is the last: which policy gets further more often.
+    Stage,
+}
+
+impl RankingOutcome {
+    /// The name on the command line.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Success => "success",
+            Self::Stage => "stage",
+        }
+    }
+
+    /// Whether success is compared.
+    pub fn is_success(&self) -> bool {
+        *self == Self::Success
+    }
+}
+
 /// Where the episodes of a ranking come from.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case", tag = "kind")]
@@ -101,6 +127,9 @@ pub struct RankedPolicy {
     pub successes: u64,
     /// The success rate. Absent without a valid episode.
     pub rate: Option<f64>,
+    /// The mean share of the way to success, in a ranking by stage.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stage: Option<f64>,
     /// The 95 % interval of the rate. For rounds, it holds at any time the contest may end.
     pub interval_95: [f64; 2],
     /// How it was dropped. Absent if it is in the best set.
@@ -120,7 +149,7 @@ pub struct RankedPair {
     /// Clusters that the interval counts, if rows depend on each other.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub clusters: Option<u64>,
-    /// First rate minus second.
+    /// First rate minus second. In a ranking by stage, the share of pairs in which the first got further minus that in which the second did.
     pub difference: f64,
     /// Its interval at 95 % for all pairs together. For rounds, it also holds after every round simultaneously.
     pub interval_95: [f64; 2],
@@ -135,6 +164,9 @@ pub struct Ranking {
     pub scenarios: String,
     /// Where the episodes come from.
     pub design: RankingDesign,
+    /// What is compared.
+    #[serde(default, skip_serializing_if = "RankingOutcome::is_success")]
+    pub by: RankingOutcome,
     /// What the error bounds.
     pub guarantee: RankingGuarantee,
     /// The error probability, over all pairs and rounds.
@@ -144,7 +176,7 @@ pub struct Ranking {
     pub invalid_episodes: InvalidEpisodes,
     /// The best set: the policies that cannot be distinguished from the best.
     pub best: Vec<String>,
-    /// The policies by their rate, the best set first.
+    /// The policies by their rate, or by their mean share of the way in a ranking by stage, the best set first.
     pub policies: Vec<RankedPolicy>,
     /// The differences of all pairs.
     pub differences: Vec<RankedPair>,
@@ -158,7 +190,7 @@ impl Ranking {
     pub fn of_rounds(
         scenarios: String,
         design: RankingDesign,
-        (guarantee, error): (RankingGuarantee, f64),
+        (guarantee, error, by): (RankingGuarantee, f64, RankingOutcome),
         policies: &[(String, String, u64)],
         contest: &Elimination,
     ) -> Self {
@@ -174,6 +206,7 @@ impl Ranking {
                 invalid: *invalid,
                 successes: trials.successes(),
                 rate: trials.rate(),
+                stage: contest.mean_score(at).filter(|_| !by.is_success()),
                 interval_95: [bounds.interval().low, bounds.interval().high],
                 dropped: contest.dropped(at).map(|out| DroppedPolicy { by: name(out.by), round: Some(out.look) }),
             }
@@ -187,7 +220,7 @@ impl Ranking {
             interval_95: [pair.interval.low, pair.interval.high],
         };
         let differences = contest.table(Confidence::P95).into_iter().map(pair).collect();
-        Self::new(scenarios, design, (guarantee, error), ranked.collect(), differences)
+        Self { by, ..Self::new(scenarios, design, (guarantee, error), ranked.collect(), differences) }
     }
 
     /// A ranking of these policies.
@@ -198,9 +231,8 @@ impl Ranking {
         mut policies: Vec<RankedPolicy>,
         differences: Vec<RankedPair>,
     ) -> Self {
-        let rate = |policy: &RankedPolicy| policy.rate.unwrap_or(-1.0);
-        policies
-            .sort_by(|a, b| a.dropped.is_some().cmp(&b.dropped.is_some()).then_with(|| rate(b).total_cmp(&rate(a))));
+        let of = |policy: &RankedPolicy| policy.stage.or(policy.rate).unwrap_or(-1.0);
+        policies.sort_by(|a, b| a.dropped.is_some().cmp(&b.dropped.is_some()).then_with(|| of(b).total_cmp(&of(a))));
         let best =
             policies.iter().filter(|policy| policy.dropped.is_none()).map(|policy| policy.name.clone()).collect();
         let invalid_episodes = match design {
@@ -211,6 +243,7 @@ impl Ranking {
             format: Self::FORMAT,
             scenarios,
             design,
+            by: RankingOutcome::Success,
             guarantee,
             error,
             invalid_episodes,
@@ -250,9 +283,12 @@ impl Ranking {
 
     /// The answer in one sentence.
     pub fn headline(&self) -> String {
+        let by = if self.by.is_success() { "" } else { " by the stages reached" };
         match &*self.best {
-            [best] => format!("{best} is the best of {} policies", self.policies.len()),
-            best => format!("{} of {} policies cannot be distinguished from the best", best.len(), self.policies.len()),
+            [best] => format!("{best} is the best of {} policies{by}", self.policies.len()),
+            best => {
+                format!("{} of {} policies cannot be distinguished from the best{by}", best.len(), self.policies.len())
+            }
         }
     }
 
@@ -287,6 +323,7 @@ mod tests {
             invalid,
             successes: 5,
             rate: Some(0.5),
+            stage: None,
             interval_95: [0.2, 0.8],
             dropped: None,
         };

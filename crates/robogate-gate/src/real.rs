@@ -88,9 +88,10 @@ impl RealEvidence {
             return Err(format!("unsupported format {}. Expected {}", self.format, Self::FORMAT));
         }
         let [a, b] = self.strata;
-        let share = |s: RealStratum| s.share > 0.0 && s.share < 1.0;
+        // One of them can be the whole population.
+        let share = |s: RealStratum| (0.0..=1.0).contains(&s.share) && (s.share > 0.0 || s.trials == 0);
         if !(share(a) && share(b)) || (a.share + b.share - 1.0).abs() > 1e-9 {
-            return Err("the shares of the strata are not positive, or do not add up to 1".to_owned());
+            return Err("the shares of the strata do not add up to 1, or an empty one has trials".to_owned());
         }
         if self.strata.iter().any(|s| s.successes > s.trials) {
             return Err("a stratum has more successes than trials".to_owned());

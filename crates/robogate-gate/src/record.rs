@@ -17,6 +17,7 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 use crate::cases::repeated;
+use crate::conditions::Conditions;
 use crate::dependence::{RowGroups, divide};
 use crate::figure::STAGE_SHARE;
 use crate::{Ending, GateError, RealEvidence, Sampling, Trial};
@@ -201,6 +202,8 @@ pub struct Record {
     pub controls: Option<Controls>,
     /// Whether a server answers for the policy.
     pub served: bool,
+    /// What a success depends on besides the policy.
+    pub conditions: Conditions,
 }
 
 impl Record {
@@ -235,6 +238,7 @@ impl Record {
             real: None,
             controls: provenance.controls().cloned(),
             served: is_served(provenance),
+            conditions: Conditions::of(provenance),
         })
     }
 
@@ -308,7 +312,11 @@ impl Record {
         let Population::Imported { groups, .. } = &mut record.population else {
             return Err("`groups` names columns of imported episodes, and these were run by RoboGate".to_owned());
         };
-        let unknown = |name: String| format!("the episodes have no column `{name}`, which `groups` names");
+        let unknown = |name: String| {
+            format!(
+                "the episodes have no column `{name}`, which `groups` names\nHint: a column that was imported as the group is named group"
+            )
+        };
         *groups = divide(&mut record.trials, columns, true).map_err(unknown)?;
         Ok(record)
     }
@@ -369,6 +377,7 @@ impl Record {
             focused: (all - trials.len()) as u64,
             controls: provenance.controls().cloned(),
             served: is_served(provenance),
+            conditions: Conditions::of(provenance),
             trials,
         };
         Ok(record.divided_again())

@@ -12,7 +12,8 @@ pub const CLIPPED_ACTIONS: &str = "clipped_actions";
 const MANY_CLIPPED: f64 = 0.05;
 
 impl Evaluation {
-    /// What a reader of the verdict must know about the episodes: the rate with nothing varied, and actions outside of their range.
+    /// What a reader of the verdict must know about the episodes: changed settings, other conditions of a compared policy, the rate with
+    /// nothing varied, and actions outside of their range.
     pub fn remarks(&self) -> Vec<String> {
         let many = self.clipped_actions.filter(|share| *share >= MANY_CLIPPED);
         let clipped = many.map(|share| {
@@ -22,7 +23,13 @@ impl Evaluation {
                 percent(share)
             )
         });
-        self.nominal.map(|nominal| nominal.line()).into_iter().chain(clipped).collect()
+        let settings = match self.changed_settings.as_slice() {
+            [] => None,
+            changed => Some(format!("Settings of the task that were changed: {}", changed.join(", "))),
+        };
+        let differs = self.comparison.iter().flat_map(|comparison| &comparison.differs);
+        let differs = differs.map(|what| format!("The compared policies also differ in this: {what}"));
+        settings.into_iter().chain(differs).chain(self.nominal.map(|nominal| nominal.line())).chain(clipped).collect()
     }
 }
 

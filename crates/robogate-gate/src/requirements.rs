@@ -169,6 +169,23 @@ impl Requirements {
         self.check().map(|()| self)
     }
 
+    /// The metrics that the task does not have, each with the reason.
+    fn unknown_metrics(&self, task: &TaskSpec) -> impl Iterator<Item = (Metric, String)> {
+        let metrics = self.requirement.iter().map(|r| r.metric).chain(self.score.iter().map(|term| term.metric));
+        metrics.filter_map(|metric| Some((metric, metric.check(task).err()?)))
+    }
+
+    /// Rejects requirements that episodes of this task cannot answer, before any of them runs.
+    ///
+    /// # Errors
+    /// The first metric that the task does not have.
+    pub fn check_task(&self, task: &TaskSpec) -> Result<(), GateError> {
+        match self.unknown_metrics(task).next() {
+            Some((_, reason)) => Err(GateError::NotOfTask { requirements: self.name.clone(), reason }),
+            None => Ok(()),
+        }
+    }
+
     /// Prepares the record for these requirements.
     ///
     /// An import declares the failure modes that occurred in it. For other modes it is unknown whether they were
@@ -186,13 +203,11 @@ impl Requirements {
                 task.name
             )));
         }
-        let metrics = self.requirement.iter().map(|r| r.metric).chain(self.score.iter().map(|term| term.metric));
         let mut unseen = Vec::new();
-        for metric in metrics {
-            match (metric.check(task), metric) {
-                (Ok(()), _) => {}
-                (Err(_), Metric::Failure(mode) | Metric::FailureCount(mode)) if record.imported => unseen.push(mode),
-                (Err(reason), _) => return Err(wrong(reason)),
+        for (metric, reason) in self.unknown_metrics(task) {
+            match metric {
+                Metric::Failure(mode) | Metric::FailureCount(mode) if record.imported => unseen.push(mode),
+                _ => return Err(wrong(reason)),
             }
         }
         let mut record = if unseen.is_empty() { Cow::Borrowed(record) } else { Cow::Owned(record.without(&unseen)) };

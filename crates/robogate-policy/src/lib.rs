@@ -8,6 +8,7 @@
 mod access;
 mod array;
 mod buffers;
+mod checkpoint;
 mod chunk;
 mod connection;
 mod control;
@@ -55,6 +56,7 @@ mod xpolicylab;
 
 pub use access::Access;
 pub use array::{Array, Dtype, InvalidArray};
+pub use checkpoint::{Checkpoint, CheckpointError};
 pub use chunk::Chunk;
 pub use control::{RandomModel, ThroughProfile};
 pub use decoder::Decoder;

@@ -4,7 +4,7 @@
 //! the time, or its reply is invalid. A failure during an episode makes that episode invalid. A failure at a reset
 //! sends the episode to another server, because no part of it has run yet. After a failure, a server is not used for 1
 //! s; after further consecutive failures, for 2 s, 4 s and 8 s. After [`MAX_FAILURES`] failures without a completed
-//! episode in between, it is not used again. When no server is left, each further episode is invalid immediately.
+//! episode in between, it is not used again; a server that this process starts again counts its failures anew once it answers. When no server is left, each further episode is invalid immediately.
 
 use std::collections::BTreeSet;
 use std::fmt;
@@ -285,6 +285,10 @@ impl Lease {
             let connection = Connection::open(self.address.clone(), self.pool.timeouts)?;
             if let Some(difference) = difference(&self.pool.hello, connection.hello()) {
                 return Err(violation(format!("the simulator has changed since the start: {difference}")));
+            }
+            if self.pool.restart.is_some() {
+                // It starts and answers: what ended it is an episode, and the next one may run.
+                self.pool.slots()[self.slot].failures = 0;
             }
             self.connection = Some(connection);
         }

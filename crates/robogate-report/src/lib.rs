@@ -33,10 +33,10 @@ pub use figures::{FigureFile, figure_files};
 #[cfg(feature = "print")]
 pub use figures::{PrintError, pdf, png};
 pub use gate::{
-    Change, RequirementRow, TwinRow, evaluation_markdown, evaluation_markdown_with, evidence_html, feasible_part,
-    fleet_drivers, fleet_headline, fleet_html, fleet_markdown, fleet_share, how_judged, junit, leaderboard_html,
-    leaderboard_markdown, leaderboard_text, leaderboards_html, leaderboards_markdown, new_cases, of_invalid,
-    required_success, sign, verdict_html, what_next, what_to_change,
+    Again, Change, RequirementRow, TwinRow, evaluation_markdown, evaluation_markdown_with, evidence_html,
+    feasible_part, fleet_drivers, fleet_headline, fleet_html, fleet_markdown, fleet_share, how_judged, junit,
+    leaderboard_html, leaderboard_markdown, leaderboard_text, leaderboards_html, leaderboards_markdown, new_cases,
+    of_invalid, required_success, sign, verdict_html, what_next, what_to_change,
 };
 pub use html::{
     comparison_html, comparison_html_with, explorer_page, html, html_with, replay_page, requalification_html,

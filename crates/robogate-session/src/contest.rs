@@ -13,9 +13,9 @@ use robogate_campaign::{
     Completion, Event, ExecuteError, Executor, Plan, Round, RunError, resume_in_rounds, start_in_rounds,
 };
 use robogate_core::budget::Budget;
-use robogate_core::{Episode, Outcome, Scenario};
+use robogate_core::{Episode, Outcome, Scenario, TaskSpec};
 use robogate_dictionary::{Dictionary, Entry, LostEpisode, Provenance, files, read_regular_text};
-use robogate_gate::RankingGuarantee;
+use robogate_gate::{RankingGuarantee, RankingOutcome};
 use robogate_stats::contest::{ContestError, Dropped, Elimination, Schedule};
 use serde::{Deserialize, Serialize};
 
@@ -41,6 +41,8 @@ pub struct Contest {
     pub contestants: Vec<Contestant>,
     /// The plan of each campaign: a suite with its largest number of rounds.
     pub plan: Plan,
+    /// What is compared.
+    pub by: RankingOutcome,
     /// What the error bounds.
     pub guarantee: RankingGuarantee,
     /// The error probability, over all pairs and rounds.
@@ -57,6 +59,9 @@ struct Question {
     policies: Vec<String>,
     guarantee: RankingGuarantee,
     error: f64,
+    /// What is compared.
+    #[serde(default, skip_serializing_if = "RankingOutcome::is_success")]
+    by: RankingOutcome,
 }
 
 impl Question {
@@ -74,6 +79,7 @@ impl Question {
             ("policies", recorded.policies.join(","), self.policies.join(",")),
             ("guarantee", recorded.guarantee.name().to_owned(), self.guarantee.name().to_owned()),
             ("error", recorded.error.to_string(), self.error.to_string()),
+            ("by", recorded.by.name().to_owned(), self.by.name().to_owned()),
         ];
         let other = parts.iter().filter(|(_, recorded, asked)| recorded != asked);
         let other: Vec<String> =
@@ -128,7 +134,9 @@ impl Contest {
     pub fn elimination(&self) -> Result<Elimination, Failure> {
         let suite = self.plan.suite.as_ref().ok_or_else(|| anyhow!("a contest needs a suite")).or_request()?;
         let schedule = Schedule { per_look: suite.scenarios(), looks: suite.rounds };
-        Ok(Elimination::new(self.contestants.len(), schedule, self.guarantee.of_test(), self.error)?)
+        let all = Elimination::new(self.contestants.len(), schedule, self.guarantee.of_test(), self.error)?;
+        let task = self.contestants.first().map(|of| of.subject.task());
+        Ok(all.with_top(task.map_or(1, |task| top(task, self.by))))
     }
 
     /// Writes the question before the first episode. Rejects a folder with another question, or with episodes and no question.
@@ -138,6 +146,7 @@ impl Contest {
             policies: self.contestants.iter().map(|of| of.name.clone()).collect(),
             guarantee: self.guarantee,
             error: self.error,
+            by: self.by,
         };
         let path = self.folder.join(Self::QUESTION);
         if path.is_file() {
@@ -177,10 +186,10 @@ impl Contest {
             let mut columns = vec![None; self.contestants.len()];
             for &at in &left {
                 let contestant = &self.contestants[at];
-                match contestant.advance(&self.plan, round, Then::Waits, workers, events)? {
-                    Advance::Round(outcomes) => {
-                        invalid[at] += outcomes.iter().filter(|outcome| outcome.is_none()).count() as u64;
-                        columns[at] = Some(outcomes);
+                match contestant.advance((&self.plan, self.by), round, Then::Waits, workers, events)? {
+                    Advance::Round(scores) => {
+                        invalid[at] += scores.iter().filter(|score| score.is_none()).count() as u64;
+                        columns[at] = Some(scores);
                     }
                     Advance::Interrupted(done) => {
                         return Ok(ContestEnd::Interrupted { name: contestant.name.clone(), done });
@@ -191,13 +200,13 @@ impl Contest {
             let row = |scenario: usize| {
                 columns.iter().map(|column| column.as_ref()?.get(scenario).copied().flatten()).collect()
             };
-            let blocks: Vec<Vec<Option<bool>>> = (0..scenarios).map(row).collect();
+            let blocks: Vec<Vec<Option<u32>>> = (0..scenarios).map(row).collect();
             let dropped = elimination.look(&blocks)?;
             let over = elimination.is_over();
             for at in left.into_iter().filter(|at| over || dropped.iter().any(|out| out.policy == *at)) {
                 let contestant = &self.contestants[at];
                 if let Advance::Interrupted(done) =
-                    contestant.advance(&self.plan, round, Then::Finishes, workers, events)?
+                    contestant.advance((&self.plan, self.by), round, Then::Finishes, workers, events)?
                 {
                     return Ok(ContestEnd::Interrupted { name: contestant.name.clone(), done });
                 }
@@ -217,8 +226,8 @@ enum Then {
 
 /// The end of a round of one policy.
 enum Advance {
-    /// Whether each scenario succeeded. `None` for an invalid episode.
-    Round(Vec<Option<bool>>),
+    /// The score in each scenario, see [`score`].
+    Round(Vec<Option<u32>>),
     /// The user stopped it after this many episodes.
     Interrupted(u64),
 }
@@ -227,7 +236,7 @@ impl Contestant {
     /// Runs the campaign up to the end of a round.
     fn advance(
         &self,
-        plan: &Plan,
+        (plan, by): (&Plan, RankingOutcome),
         round: u64,
         then: Then,
         workers: Workers<'_>,
@@ -247,22 +256,22 @@ impl Contestant {
             self.subject.register(&self.folder, &provenance);
         }
         let indices = round * suite.scenarios()..(round + 1) * suite.scenarios();
-        let mut outcomes = None;
+        let mut scores = None;
         let completion = workers.carry(&self.folder, &self.subject, events, |executor, events| {
             let until = Until { executor, end: indices.end };
             let mut after = |done: &Round<'_>| {
                 if done.number == round {
-                    outcomes = Some(done.entries.iter().map(outcome).collect());
+                    scores = Some(done.entries.iter().map(|entry| score(self.subject.task(), entry, by)).collect());
                 }
                 let ends = then == Then::Finishes && done.number == round;
                 if ends { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
             };
             self.campaign(plan, provenance, begun, &until, events, &mut after)
         })?;
-        match (outcomes, completion) {
-            (Some(outcomes), _) => Ok(Advance::Round(outcomes)),
+        match (scores, completion) {
+            (Some(scores), _) => Ok(Advance::Round(scores)),
             // A finished campaign does not run again.
-            (None, Completion::Finished { .. }) => Ok(Advance::Round(self.recorded(indices)?)),
+            (None, Completion::Finished { .. }) => Ok(Advance::Round(self.recorded(indices, by)?)),
             (None, Completion::Interrupted { done, .. }) => Ok(Advance::Interrupted(done)),
         }
     }
@@ -283,15 +292,15 @@ impl Contestant {
         }
     }
 
-    /// The outcomes of these episodes of a finished campaign.
-    fn recorded(&self, indices: std::ops::Range<u64>) -> Result<Vec<Option<bool>>, Failure> {
+    /// The scores of these episodes of a finished campaign.
+    fn recorded(&self, indices: std::ops::Range<u64>, by: RankingOutcome) -> Result<Vec<Option<u32>>, Failure> {
         let path = self.folder.join(DICTIONARY);
         let dictionary = Dictionary::open(&path).or_broken()?;
         let mut found = Vec::new();
         for entry in dictionary.entries() {
             let entry = entry.or_broken()?;
             if indices.contains(&entry.index()) {
-                found.push(outcome(&entry));
+                found.push(score(self.subject.task(), &entry, by));
             }
         }
         if found.len() as u64 == indices.end - indices.start {
@@ -306,11 +315,26 @@ impl Contestant {
     }
 }
 
-/// Whether an episode succeeded. `None` if it is invalid.
-fn outcome(entry: &Entry) -> Option<bool> {
-    match &entry.episode.outcome {
-        Outcome::Invalid(_) => None,
-        outcome => Some(matches!(outcome, Outcome::Success)),
+/// The score of a success.
+fn top(task: &TaskSpec, by: RankingOutcome) -> u32 {
+    match by {
+        RankingOutcome::Success => 1,
+        RankingOutcome::Stage => task.stages.len() as u32 + 1,
+    }
+}
+
+/// How far an episode went, up to [`top`]. `None` if it is invalid, or if it did not count its stages.
+fn score(task: &TaskSpec, entry: &Entry, by: RankingOutcome) -> Option<u32> {
+    let episode = &entry.episode;
+    let success = match &episode.outcome {
+        Outcome::Invalid(_) => return None,
+        outcome => matches!(outcome, Outcome::Success),
+    };
+    match by {
+        RankingOutcome::Success => Some(u32::from(success)),
+        RankingOutcome::Stage => {
+            task.stage_share(success, &episode.measures).map(|share| (share * f64::from(top(task, by))).round() as u32)
+        }
     }
 }
 

@@ -1,11 +1,12 @@
-//! Fingerprints of policies: a gate stores one, and a deployed policy is compared with it.
+//! Fingerprints of policies and records of their checkpoints: a gate stores them, and a deployed policy is compared with them.
 
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
-use robogate_dictionary::files;
-use robogate_policy::{Fingerprint, Recorder};
+use robogate_dictionary::{files, read_text};
+use robogate_policy::{Checkpoint, Fingerprint, Recorder};
+use robogate_stats::format::counted;
 
 use crate::failure::{Failure, OrFailure};
 use crate::notice::note;
@@ -16,7 +17,36 @@ use crate::text::foreign;
 /// The file in the folder of a gate, and in its evidence.
 pub const FINGERPRINT: &str = "fingerprint.msgpack";
 
+/// The file with the record of the checkpoint of a policy, in the folder of a gate and in its evidence.
+pub const CHECKPOINT: &str = "checkpoint.json";
+
+/// The record of the checkpoint in a folder or file.
+pub fn checkpoint(path: &Path) -> Result<Checkpoint, Failure> {
+    let checkpoint = Checkpoint::of(path).with_context(|| format!("--checkpoint {}", path.display())).or_request()?;
+    let (files, tensors) = checkpoint.size();
+    let tensors = if tensors > 0 { format!(", {}", counted(tensors as u64, "tensor")) } else { String::new() };
+    note(format_args!("checkpoint {}: {}{tensors}", path.display(), counted(files as u64, "file")));
+    Ok(checkpoint)
+}
+
+/// The record of a checkpoint in the folder of a gate or of its evidence. `None` if the gate has none.
+pub fn read_checkpoint(folder: &Path) -> Result<Option<Checkpoint>, Failure> {
+    let file = folder.join(CHECKPOINT);
+    if !file.is_file() {
+        return Ok(None);
+    }
+    let text = read_text(&file).with_context(|| format!("cannot read {}", file.display())).or_request()?;
+    Checkpoint::from_json(text.as_bytes()).with_context(|| file.display().to_string()).or_request().map(Some)
+}
+
 impl Subject {
+    /// The folder or file of the policy that the process of the environment loads, such as `lerobot:FOLDER`.
+    pub fn loaded_checkpoint(&self) -> Option<PathBuf> {
+        let Some(PolicySource::Declared(policy)) = self.policy_source() else { return None };
+        let path = policy.from.as_deref()?.split_once(':')?.1;
+        Some(path.split_once('?').map_or(path, |(path, _)| path).into())
+    }
+
     /// Asks a policy server or a network again what it was asked in some control periods of the episodes so far, and writes its
     /// answers into the folder of the run. A failure is a note: the episodes have their result.
     pub fn write_fingerprint(&self, run: &Path) {

@@ -42,6 +42,8 @@ struct State {
     shown: BTreeSet<FaultKind>,
     /// Losses that the campaign has not recorded yet.
     lost: Vec<LostEpisode>,
+    /// A completed episode of any execution, which shows later whether the servers still answer.
+    completed: Option<Scenario>,
 }
 
 /// The reason why a run was stopped: the policy server or the simulator is unavailable.
@@ -142,7 +144,8 @@ impl<'a> RunsLostAgain<'a> {
     }
 
     /// Whether an episode that was completed before can still be completed.
-    fn runs(&self, completed: Option<Scenario>) -> Result<bool, ExecuteError> {
+    fn runs(&self) -> Result<bool, ExecuteError> {
+        let completed = self.state.borrow().completed.clone();
         let mut ran = false;
         let executed = self.executor.execute(&|i| completed.clone().filter(|_| i == 0), &mut |episode| {
             ran = !matches!(&episode.outcome, Outcome::Invalid(fault) if fault.kind == FaultKind::Unavailable);
@@ -173,20 +176,19 @@ impl Executor for RunsLostAgain<'_> {
         if self.state.borrow().outage.is_some() {
             return Ok(());
         }
-        let mut completed = None;
         let (mut done, mut lost) = (BTreeSet::new(), Vec::new());
         let mut rest: Option<Vec<Scenario>> = None;
         let flow = loop {
             let next = |i: usize| rest.as_ref().map_or_else(|| scenario(i), |rest| rest.get(i).cloned());
             let (more, flow) = self.attempt(&next, &mut |episode| {
-                completed.get_or_insert_with(|| episode.scenario.clone());
+                self.state.borrow_mut().completed.get_or_insert_with(|| episode.scenario.clone());
                 done.insert(episode.scenario.index);
                 receive(episode)
             })?;
             done.extend(more.iter().map(|(episode, _)| episode.scenario.index));
             lost.extend(more);
             // Many episodes may be lost in a row because they break the server themselves.
-            if self.state.borrow().outage.is_none() || !self.runs(completed.clone())? {
+            if self.state.borrow().outage.is_none() || !self.runs()? {
                 break flow;
             }
             self.continues();
@@ -204,7 +206,7 @@ impl Executor for RunsLostAgain<'_> {
         loop {
             let mut done = BTreeSet::new();
             let attempted = self.attempt(&|i| again.get(i).cloned(), &mut |episode| {
-                completed.get_or_insert_with(|| episode.scenario.clone());
+                self.state.borrow_mut().completed.get_or_insert_with(|| episode.scenario.clone());
                 done.insert(episode.scenario.index);
                 receive(episode)
             });
@@ -220,7 +222,7 @@ impl Executor for RunsLostAgain<'_> {
             let Some((_, fault)) = lost.last().filter(|_| flow.is_continue() || stopped) else {
                 return Ok(());
             };
-            if !self.runs(completed.clone())? {
+            if !self.runs()? {
                 let twice = Outage::Twice { last: fault.clone() };
                 self.state.borrow_mut().outage.get_or_insert(twice);
                 return Ok(());

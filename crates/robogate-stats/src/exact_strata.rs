@@ -24,7 +24,7 @@ const GRID: usize = 200;
 /// Trials of one stratum, and the stratum's share of the population.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Stratum {
-    /// The share, between 0 and 1.
+    /// The share, from 0 to 1.
     pub share: f64,
     /// The trials.
     pub trials: Trials,
@@ -32,8 +32,16 @@ pub struct Stratum {
 
 /// The p-value of the hypothesis "the rate is at most `p0`". 1 if a stratum has no trials.
 ///
-/// The shares must add up to 1.
+/// The shares must add up to 1. If one stratum is the whole population, this is the exact binomial test of its trials.
 pub fn p_above(strata: [Stratum; 2], p0: f64) -> f64 {
+    if let Some(whole) = strata.iter().find(|s| s.share >= 1.0) {
+        let (k, n) = (whole.trials.successes(), whole.trials.n());
+        if k == 0 || p0.is_nan() || p0 >= 1.0 {
+            return 1.0;
+        }
+        // Summed from the largest count, whose mass is the smallest.
+        return (k..=n).rev().map(|k| ln_binomial_pmf(k as f64, n as f64, p0.max(0.0)).exp()).sum::<f64>().min(1.0);
+    }
     let n = strata.map(|s| s.trials.n());
     if n.contains(&0) || p0.is_nan() || p0 >= 1.0 {
         return 1.0;
@@ -102,7 +110,7 @@ pub fn bounds(strata: [Stratum; 2], tail: f64) -> Interval {
 
 /// The estimated rate, Σ share · rate. `None` if a stratum has no trials.
 pub fn estimate(strata: [Stratum; 2]) -> Option<f64> {
-    strata.iter().map(|s| s.trials.rate().map(|rate| s.share * rate)).sum()
+    strata.iter().filter(|s| s.share > 0.0).map(|s| s.trials.rate().map(|rate| s.share * rate)).sum()
 }
 
 /// The likelihood ratio of the counts against a rate of `p0`. 0 if their estimate is at most `p0`.
@@ -136,6 +144,17 @@ fn statistic(k: [u64; 2], n: [u64; 2], shares: [f64; 2], p0: f64) -> f64 {
 mod tests {
     use super::*;
     use crate::{Confidence, clopper_pearson};
+
+    #[test]
+    fn whole_population_is_the_exact_binomial_test() {
+        for (k, n) in [(0, 5), (5, 5), (17, 20), (31, 42), (1, 200)] {
+            let trials = Trials::new(k, n).unwrap();
+            let strata = [Stratum { share: 0.0, trials: Trials::NONE }, Stratum { share: 1.0, trials }];
+            let (found, wanted) = (bounds(strata, 0.025), clopper_pearson(trials, Confidence::P95));
+            assert!((found.low - wanted.low).abs() < 1e-6 && (found.high - wanted.high).abs() < 1e-6, "{k} of {n}");
+            assert_eq!(estimate(strata), trials.rate());
+        }
+    }
 
     fn strata(k: [u64; 2], n: [u64; 2]) -> [Stratum; 2] {
         [0, 1].map(|i| Stratum { share: 0.5, trials: Trials::new(k[i], n[i]).unwrap() })

@@ -123,7 +123,7 @@ pub fn answer(study: &Study) -> Answer {
     }
     let corrections: u64 = study.attempts().iter().map(|attempt| attempt.corrections).sum();
     if corrections > 0 {
-        notes.push(format!("Results were corrected {corrections} times; the journal has the reasons."));
+        notes.push(format!("Results were corrected {corrections} times; the journal has the reasons. The test counts the result that is against the claim."));
     }
     let trials = arms.iter().map(|arm| arm.trials).sum();
     Answer { version: 1, verdict, sentence, best, notes, arms, blocks: blocks.len() as u64, trials }
@@ -133,7 +133,7 @@ pub fn answer(study: &Study) -> Answer {
 fn void_notes(arms: &[ArmAnswer], withheld: bool) -> Vec<String> {
     let mut notes = Vec::new();
     if withheld {
-        notes.push("Claim withdrawn: the trials that were declared invalid could reverse it.".to_owned());
+        notes.push("Claim withdrawn: the trials that were declared invalid or corrected could reverse it.".to_owned());
     }
     let repeated: Vec<String> =
         arms.iter().filter(|arm| arm.repeated > 0).map(|arm| format!("{} {}", arm.policy, arm.repeated)).collect();

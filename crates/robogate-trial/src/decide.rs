@@ -22,14 +22,21 @@ pub struct BlockResults {
     pub success: Vec<Option<bool>>,
     /// For each policy, the trials that were declared invalid before their end and repeated.
     pub repeated: Vec<u64>,
+    /// For each policy, whether the trial succeeded as it was first recorded, if it was corrected.
+    pub first: Vec<Option<bool>>,
 }
 
 impl BlockResults {
-    /// The results if each invalid trial had been against the claim that the policies of `favoured` are good and all others are
-    /// not.
+    /// The results if each invalid trial, and each of the two results of a corrected one, had been against the claim that the policies of
+    /// `favoured` are good and all others are not.
     fn against(&self, favoured: impl Fn(usize) -> bool) -> Vec<Option<bool>> {
         let result = |(arm, success): (usize, &Option<bool>)| {
-            success.map(|success| if self.repeated[arm] > 0 { !favoured(arm) } else { success })
+            success.map(|success| match self.first[arm] {
+                _ if self.repeated[arm] > 0 => !favoured(arm),
+                Some(first) if favoured(arm) => success && first,
+                Some(first) => success || first,
+                None => success,
+            })
         };
         self.success.iter().enumerate().map(result).collect()
     }
@@ -42,7 +49,7 @@ pub struct Decision {
     pub answer: Verdict,
     /// Whether each policy was eliminated.
     pub dropped: Vec<bool>,
-    /// Whether the answer would be a claim if the repeated trials counted and the invalid ones did not.
+    /// Whether the answer would be a claim if invalid trials did not count and corrections did.
     pub withheld: bool,
 }
 

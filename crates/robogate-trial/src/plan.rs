@@ -217,7 +217,12 @@ impl Plan {
             Question::Best => (3..=MOST_ARMS).contains(&arms),
         };
         if !fits {
-            return wrong(format!("{arms} policies do not fit the question {:?}", self.question));
+            let (question, expected) = match self.question {
+                Question::AtLeast(_) => ("whether a rate is at least a limit", "one".to_owned()),
+                Question::Better => ("which of two is better", "two".to_owned()),
+                Question::Best => ("which is the best", format!("3 to {MOST_ARMS}")),
+            };
+            return wrong(format!("{arms} policies, but the question is {question}. Expected {expected}"));
         }
         let names: BTreeSet<&str> = self.arms.iter().map(|arm| arm.name.as_str()).collect();
         if names.len() != arms || names.contains("") {

@@ -80,6 +80,8 @@ pub struct Attempt {
     pub result: Option<Outcome>,
     /// Number of corrections.
     pub corrections: u64,
+    /// Whether it succeeded as it was first recorded, if a correction says otherwise.
+    pub first: Option<bool>,
     /// Why it is invalid.
     pub void: Option<(String, VoidBy)>,
     /// What the switch measured.
@@ -237,10 +239,14 @@ impl Study {
             let planned = self.planned(attempt);
             let block = planned.block as usize;
             if blocks.len() <= block {
-                blocks.resize(block + 1, BlockResults { success: vec![None; arms], repeated: vec![0; arms] });
+                let none = BlockResults { success: vec![None; arms], repeated: vec![0; arms], first: vec![None; arms] };
+                blocks.resize(block + 1, none);
             }
             match attempt.success() {
-                Some(success) => blocks[block].success[planned.arm] = Some(success),
+                Some(success) => {
+                    blocks[block].success[planned.arm] = Some(success);
+                    blocks[block].first[planned.arm] = attempt.first;
+                }
                 None => blocks[block].repeated[planned.arm] += u64::from(attempt.is_repeated()),
             }
         }
@@ -393,6 +399,7 @@ impl Study {
                     duration_s: None,
                     result: None,
                     corrections: 0,
+                    first: None,
                     void: None,
                     measured: None,
                     told: false,
@@ -406,8 +413,11 @@ impl Study {
             Event::Result { code, result } => self.change(code, |attempt| attempt.result = Some(result.clone())),
             Event::Void { code, reason, by } => self.change(code, |attempt| attempt.void = Some((reason.clone(), *by))),
             Event::Correct { code, result, .. } => self.change(code, |attempt| {
+                // The first result counts, however often it is corrected.
+                let first = attempt.first.or(attempt.success());
                 attempt.result = Some(result.clone());
                 attempt.corrections += 1;
+                attempt.first = first;
             }),
             Event::Pause => self.paused = true,
             Event::Resume => self.paused = false,

@@ -2,7 +2,7 @@
 //!
 //! It knows no protocol. A connection of the robot waits until a trial runs and then goes to the server of its policy. Stop ends
 //! all connections at once and discards what was not sent yet; [`Switch::close`] returns when none is open. A server that
-//! accepts no connection or does not reply in time is reported as a fault.
+//! accepts no connection, does not reply in time, or ends a connection while it owes a reply or for good, is reported as a fault.
 //!
 //! The paths to the servers are made equally long: the time to connect is measured for each at the start, and each reply of a nearer
 //! server waits for the difference. The time that a policy computes belongs to the policy; it is measured and not changed.
@@ -268,26 +268,41 @@ async fn connection(mut client: TcpStream, shared: &Shared) {
             let down = backward(from_server, to_client, &asked, shared, arm);
             let mut down = std::pin::pin!(down);
             tokio::select! {
-                () = &mut down => return,
+                by_server = &mut down => return if by_server { End::ByServer } else { End::Closed },
                 () = up => {}
             }
             // The robot has sent everything; the rest of the reply follows.
             down.await;
+            End::Closed
         };
         tokio::select! {
             biased;
             () = &mut ended => End::Cut,
             () = hanging(&asked, shared.settings.reply) => End::Hanging,
-            () = passed => End::Closed,
+            end = passed => end,
         }
     };
-    if end != End::Closed {
+    if matches!(end, End::Cut | End::Hanging) {
         abort(server);
         abort(client);
     }
     drop(open);
-    if end == End::Hanging {
-        fault("the policy server did not reply in time");
+    match end {
+        End::Hanging => fault("the policy server did not reply in time"),
+        End::ByServer if at(&asked).is_some() => fault("the policy server closed the connection and owed a reply"),
+        // A protocol may end a connection after each reply. A server that is gone accepts no other one.
+        End::ByServer => {
+            let again = tokio::time::timeout(shared.settings.connect, TcpStream::connect(shared.servers[arm]));
+            let gone = tokio::select! {
+                biased;
+                () = ended => false,
+                again = again => !matches!(again, Ok(Ok(_))),
+            };
+            if gone {
+                fault("the policy server closed the connection and accepts no other one");
+            }
+        }
+        End::Closed | End::Cut => {}
     }
 }
 
@@ -306,8 +321,10 @@ async fn closed(client: &TcpStream) {
 /// How a connection ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum End {
-    /// Robot or server closed it.
+    /// The robot closed it.
     Closed,
+    /// The server closed it before the robot did.
+    ByServer,
     /// The trial ended.
     Cut,
     /// The server did not reply.
@@ -349,7 +366,8 @@ async fn forward(mut from: ReadHalf<'_>, mut to: WriteHalf<'_>, asked: &Asked) {
     let _ = to.shutdown().await;
 }
 
-async fn backward(mut from: ReadHalf<'_>, mut to: WriteHalf<'_>, asked: &Asked, shared: &Shared, arm: usize) {
+/// Returns whether the server ended the connection.
+async fn backward(mut from: ReadHalf<'_>, mut to: WriteHalf<'_>, asked: &Asked, shared: &Shared, arm: usize) -> bool {
     let mut chunk = vec![0; CHUNK];
     while let Ok(bytes @ 1..) = from.read(&mut chunk).await {
         let sent = at(asked).take();
@@ -358,11 +376,12 @@ async fn backward(mut from: ReadHalf<'_>, mut to: WriteHalf<'_>, asked: &Asked, 
             tokio::time::sleep(shared.added[arm]).await;
         }
         if to.write_all(&chunk[..bytes]).await.is_err() {
-            return;
+            return false;
         }
     }
     // The reply must arrive before the connection is dropped.
     let _ = to.shutdown().await;
+    true
 }
 
 /// Returns once a reply is later than `limit`.

@@ -124,7 +124,8 @@ fn groups(evaluation: &Evaluation) {
     }
     line("");
     if troubled.is_empty() {
-        line(format_args!("  All episodes of all {} scenario groups succeeded.", evaluation.groups.len()));
+        let groups = counted(evaluation.groups.len() as u64, "scenario group");
+        line(format_args!("  All episodes of {groups} succeeded."));
         return;
     }
     let all = troubled.len();
@@ -300,7 +301,8 @@ pub(crate) fn print_plan(plan: &GatePlan) {
     print_joint(plan);
 }
 
-fn value(metric: Metric, x: f64) -> String {
+/// A figure of a metric with its unit.
+pub(crate) fn value(metric: Metric, x: f64) -> String {
     match metric {
         Metric::CycleTime(_) | Metric::TimeToSuccess(_) => format!("{x:.2} s"),
         Metric::Measure(..) | Metric::Production(_) => number(x),

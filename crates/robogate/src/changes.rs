@@ -5,20 +5,21 @@ use std::collections::BTreeMap;
 use robogate_analysis::{Analysis, Source};
 use robogate_core::Outcome;
 use robogate_gate::Evaluation;
-use robogate_report::{Change, Watch, what_to_change};
+use robogate_report::{Again, Change, Watch, what_to_change};
 
 use crate::terminal::{bold, foreign, line, wrapped};
 
-/// The statements for this evaluation and analysis of a source. `run` is a word of a shell command.
+/// The statements for this evaluation and analysis of a source. `run` is a word of a shell command, and `again` has the options of a new run.
 pub(crate) fn of(
     source: &Source,
     analysis: &Analysis,
     evaluation: &Evaluation,
     watch: Option<&Watch>,
     run: &str,
+    again: &Again,
 ) -> Vec<Change> {
     let phases = analysis.failure_modes.dominant.estimated().map(|mode| phases(source, mode)).unwrap_or_default();
-    what_to_change(evaluation, analysis, &phases, watch, run)
+    what_to_change(evaluation, analysis, &phases, watch, run, again)
 }
 
 /// The phases in which a failure mode ended episodes, with their counts. Empty for rows that cannot be read or have no phases.

@@ -162,7 +162,18 @@ fn main() -> ExitCode {
                 help::show(verb, long);
                 return ExitCode::SUCCESS;
             }
-            None => why.exit(),
+            None => {
+                // The cause can be a line of the project file, which the command line does not show.
+                for setting in settings.iter().filter(|setting| project::is_about(&why, setting)) {
+                    terminal::warning(format_args!(
+                        "{}: `{}` ({}) has this value",
+                        project::FILE,
+                        setting.option,
+                        setting.place
+                    ));
+                }
+                why.exit()
+            }
         },
     };
     let arguments = Arguments::from_arg_matches(&matches).unwrap_or_else(|why| why.exit());

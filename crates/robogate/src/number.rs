@@ -8,6 +8,11 @@ pub(crate) fn at_least_one<T: FromStr>(text: &str) -> Result<T, &'static str> {
     text.parse().map_err(|_| "expected an integer of at least 1")
 }
 
+/// Parses a finite number above 0.
+pub(crate) fn positive(text: &str) -> Result<f64, &'static str> {
+    text.parse().ok().filter(|x: &f64| x.is_finite() && *x > 0.0).ok_or("expected a number above 0")
+}
+
 /// The most threads, and the most episodes in progress: more would only use up the memory.
 const MOST_THREADS: usize = 4_096;
 const MOST_IN_FLIGHT: usize = 1 << 20;

@@ -8,6 +8,7 @@ use std::ffi::OsString;
 use std::path::Path;
 
 use anyhow::{Context, anyhow, bail};
+use clap::error::{ContextKind, ContextValue};
 use clap::{Arg, ArgAction, Command};
 use robogate_core::budget::Budget;
 use robogate_dictionary::read_text;
@@ -154,6 +155,17 @@ pub(crate) fn completed(command: &Command, line: Vec<OsString>) -> anyhow::Resul
     }
     let added = settings.iter().flat_map(Setting::arguments).map(OsString::from);
     Ok((before.iter().cloned().chain(added).chain(after.iter().cloned()).collect(), settings))
+}
+
+/// Whether an error in the command line is about this setting.
+pub(crate) fn is_about(why: &clap::Error, setting: &Setting) -> bool {
+    let named = match why.get(ContextKind::InvalidArg) {
+        Some(ContextValue::String(named)) => std::slice::from_ref(named),
+        Some(ContextValue::Strings(named)) => named,
+        _ => return false,
+    };
+    let option = |named: &String| named.split([' ', '=']).next() == Some(&format!("--{}", setting.option));
+    named.iter().any(option)
 }
 
 /// Whether a word of the command line gives this option: `--name`, `--name=value`, or a letter of `-abc`.

@@ -1,6 +1,7 @@
 //! The summary at the end of a campaign.
 
 use std::cmp::Reverse;
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use robogate_analysis::{Analysis, Finding};
@@ -66,7 +67,7 @@ pub(crate) fn print(
     if let [stage] = summary.stages.as_slice() {
         failures_in_one_line(stage);
     }
-    summary.stages.iter().for_each(excluded);
+    excluded(&summary.stages);
     if let Some(found) = &summary.sought {
         sought(found);
     }
@@ -122,10 +123,17 @@ fn headline_rate(summary: &Summary, analysis: Option<&Analysis>) {
             bold(format_args!("success {:>6}", percent(rate))),
             percent(low),
             percent(high),
-            counted(summary.episodes, "episode")
+            valid_of(summary)
         )),
         None => summary.stages.iter().for_each(|stage| rate(stage, &summary.sampler)),
     }
+}
+
+/// The episodes that a rate counts.
+fn valid_of(summary: &Summary) -> String {
+    let valid: u64 = summary.stages.iter().map(|stage| stage.valid).sum();
+    let all = counted(summary.episodes, "episode");
+    if valid < summary.episodes { format!("{} valid of {all}", grouped(valid)) } else { all }
 }
 
 /// The failures of a stage by mode, the most frequent first.
@@ -202,14 +210,19 @@ fn rate(stage: &StageSummary, sampler: &str) {
     }
 }
 
-/// The invalid episodes of a stage.
-fn excluded(stage: &StageSummary) {
-    if stage.invalid > 0 {
-        let kinds: Vec<String> = stage.faults.iter().map(|f| format!("{} {}", f.episodes, f.fault)).collect();
+/// The invalid episodes of all stages.
+fn excluded(stages: &[StageSummary]) {
+    let invalid: u64 = stages.iter().map(|stage| stage.invalid).sum();
+    let mut kinds: BTreeMap<String, u64> = BTreeMap::new();
+    stages.iter().flat_map(|stage| &stage.faults).for_each(|of| {
+        *kinds.entry(of.fault.to_string()).or_default() += of.episodes;
+    });
+    if invalid > 0 {
+        let kinds: Vec<String> = kinds.iter().map(|(fault, n)| format!("{n} {fault}")).collect();
         line(format_args!(
             "                 {} {} excluded: {}",
-            counted(stage.invalid, "invalid episode"),
-            if stage.invalid == 1 { "is" } else { "are" },
+            counted(invalid, "invalid episode"),
+            if invalid == 1 { "is" } else { "are" },
             kinds.join(", ")
         ));
     }

@@ -57,7 +57,8 @@ def declared(path: str) -> Policy:
         version, kind = policy.version(Path(_parts(path)[0].removeprefix(LEROBOT))), "LeRobot"
     else:
         version, kind = _version(model.files), "Stable-Baselines3"
-    return Policy(lambda env: as_function(model, env), f"A policy of {kind}.", version)
+    check = model.check if isinstance(model, stable_baselines.Model) else None
+    return Policy(lambda env: as_function(model, env), f"A policy of {kind}.", version, check)
 
 
 def _version(files: list[Path]) -> str:

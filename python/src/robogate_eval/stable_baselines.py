@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from .serving.layers import layers
+from .serving.layers import action_masks, layers
 
 # The algorithms of sb3_contrib, by a part of the module of their policies.
 CONTRIB = {"recurrent": "RecurrentPPO", "maskable": "MaskablePPO", "tqc": "TQC", "qrdqn": "QRDQN", "ars": "ARS", "crossq": "CrossQ"}
@@ -55,7 +55,7 @@ class Model:
         self._check_arguments(env)
         self._check_actions(env)
         model, recurrent = self.model, hasattr(getattr(self.model, "policy", None), "lstm_actor")
-        masks = next((masks for layer in layers(env) if callable(masks := getattr(layer, "action_masks", None))), None)
+        masks = action_masks(env)
         limit = self._limit(env)
         state, steps = None, 0
 
@@ -75,14 +75,45 @@ class Model:
 
         return act
 
+    def check(self, env: Any) -> None:
+        """Raise if `env` is not like that of the training, as far as it can be seen without an episode."""
+        import numpy as np
+
+        self._check_arguments(env)
+        self._check_actions(env)
+        if type(self.model).__name__ == "MaskablePPO" and action_masks(env) is None:
+            raise ValueError("the model was trained with masked actions, but the environment has no action_masks()")
+        space = getattr(env, "observation_space", None)
+        parts = getattr(space, "spaces", None)
+        shapes = {key: getattr(part, "shape", None) for key, part in parts.items()} if isinstance(parts, Mapping) else {None: getattr(space, "shape", None)}
+        if any(shape is None for shape in shapes.values()):
+            return
+        zeros = {key: np.zeros(shape, np.float32) for key, shape in shapes.items()}
+        example = zeros.get(None, zeros)
+        self._check(_with_time(example, 1.0) if self._time_feature is not None else example)
+
     def _check_arguments(self, env: Any) -> None:
-        """Raise if a registered environment was made with other arguments than that of the training: RL Baselines3 Zoo evaluates with these."""
+        """Raise if the environment was made with other arguments than that of the training: RL Baselines3 Zoo evaluates with these. One that is
+        not registered shows them as attributes."""
         spec = next(filter(None, (getattr(layer, "spec", None) for layer in layers(env))), None)
         given = dict(getattr(spec, "kwargs", None) or {})
+        if spec is None:
+            found = ((key, [getattr(layer, key) for layer in layers(env) if hasattr(layer, key)]) for key in self._arguments)
+            given = {key: values[0] for key, values in found if values}
         other = {key: value for key, value in self._arguments.items() if str(given.get(key)) != str(value)}
-        if spec is not None and other:
-            query = "&".join(f"{key}={json.dumps(value)}" for key, value in other.items())
-            raise ValueError(f"the model was trained in an environment with other arguments. Name it as gymnasium:{spec.id}?{query}")
+        if not other:
+            return
+        stated = ", ".join(f"{key} = {json.dumps(value)}" for key, value in other.items())
+        if spec is None:
+            raise ValueError(
+                f"the model was trained in an environment with {stated} (env_kwargs of args.yml), and this one does not show that it has them. "
+                "Hint: make it with these arguments in its file, and keep each as an attribute of its name"
+            )
+        query = "&".join(f"{key}={json.dumps(value)}" for key, value in (given | other).items())
+        raise ValueError(
+            f"the model was trained in an environment with {stated} (env_kwargs of args.yml). Hint: add ?{query} to its name, for example "
+            f"gymnasium:{spec.id}?{query}"
+        )
 
     def _check_actions(self, env: Any) -> None:
         """Raise if the environment takes other actions than that of the training: the model's numbers would mean something else."""
@@ -146,7 +177,9 @@ def load(path: "str | os.PathLike[str]", statistics: "str | os.PathLike[str] | N
     place = Path(path)
     file = place if not place.is_dir() else _zip_in(place)
     settings = _settings(file)
-    found = [Path(statistics)] if statistics is not None else _statistics_of(file)
+    # The Zoo normalises only where its settings say so, whatever lies beside them.
+    off = "normalize" in settings and not _normalizes(settings)
+    found = [Path(statistics)] if statistics is not None else [] if off else _statistics_of(file)
     if not found and _normalizes(settings):
         raise ValueError(f"{file}: the model was trained with normalised observations, but there is no {STATISTICS[0]} beside it")
     normalizer = Statistics(found[0]) if found else None
@@ -275,6 +308,8 @@ def _time_feature(file: Path, settings: Mapping[str, Any]) -> dict[str, Any] | N
     """The settings of the time feature in training. None without it."""
     if (settings.get("frame_stack") or 1) != 1:
         raise ValueError(f"{file}: the model was trained with stacked frames. Stack them in the environment: gymnasium.wrappers.FrameStackObservation")
+    if outer := settings.get("vec_env_wrapper"):
+        raise ValueError(f"{file}: the model was trained with the wrapper {outer} around several environments, which this package does not know")
     wrappers = settings.get("env_wrapper") or []
     feature = None
     for wrapper in wrappers if isinstance(wrappers, list) else [wrappers]:

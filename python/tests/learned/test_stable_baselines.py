@@ -199,11 +199,18 @@ class StableBaselines(unittest.TestCase):
     def test_zoo_folder_has_its_arguments(self):
         self.zoo("  - - env_wrapper\n    - sb3_contrib.common.wrappers.TimeFeatureWrapper\n")
         head = "!!python/object/apply:collections.OrderedDict\n- - - algo\n    - tqc\n  - - conf\n    - !!python/name:builtins.print\n  - - env_kwargs\n"
-        (self.folder / TASK / "args.yml").write_text(f"{head}    - reward_type: dense\n", encoding="utf-8")
+        (self.folder / TASK / "args.yml").write_text(f"{head}    - g: 9.0\n", encoding="utf-8")
         loaded = policies.load(f"sb3:{self.folder}")
-        self.assertIsNotNone(policies.as_function(loaded, gymnasium.make(TASK, reward_type="dense")))
-        with self.assertRaisesRegex(ValueError, f'gymnasium:{TASK}\\?reward_type="dense"'):
+        self.assertIsNotNone(policies.as_function(loaded, gymnasium.make(TASK, g=9.0)))
+        with self.assertRaisesRegex(ValueError, rf"with g = 9.0 .*gymnasium:{TASK}\?g=9.0"):
             policies.as_function(loaded, gymnasium.make(TASK))
+        # A class of the user's own shows its arguments as attributes.
+        own = gymnasium.make(TASK).unwrapped
+        own.spec = None
+        with self.assertRaisesRegex(ValueError, "does not show that it has them"):
+            loaded.check(own)
+        own.g = 9.0
+        loaded.check(own)
 
     def test_what_is_not_known_is_refused(self):
         self.zoo("  - - normalize\n    - true\n")
@@ -212,6 +219,7 @@ class StableBaselines(unittest.TestCase):
         for config, reason in [
             ("  - - frame_stack\n    - 4\n", "stacked frames"),
             ("  - - env_wrapper\n    - gym.wrappers.Other\n", "trained with the wrapper gym.wrappers.Other"),
+            ("  - - vec_env_wrapper\n    - a.VecFrameStack\n", "the wrapper a.VecFrameStack around several environments"),
             ("  - - x\n    - !!python/object/apply:os.system ['true']\n", "not the settings of RL Baselines3 Zoo"),
         ]:
             (self.folder / TASK / "config.yml").write_text(
@@ -223,6 +231,9 @@ class StableBaselines(unittest.TestCase):
         loaded, env = policies.load(f"sb3:{self.folder}"), gymnasium.make(TASK)
         with self.assertRaisesRegex(ValueError, r"shape \(4,\), but the environment observes \(3,\). If it was trained with the remaining time"):
             policies.as_function(loaded, env)(env.reset(seed=1)[0])
+        # The same before the first episode.
+        with self.assertRaisesRegex(ValueError, r"shape \(4,\), but the environment observes \(3,\)"):
+            loaded.check(env)
         shutil.copy(self.folder / f"{TASK}.zip", self.folder / "second.zip")
         with self.assertRaisesRegex(ValueError, "expected one model"):
             policies.load(f"sb3:{self.folder}")

@@ -143,7 +143,8 @@ pub struct ExactRate {
     pub interval_95: [f64; 2],
     /// Settings with a predicted success below this are the first stratum.
     pub cut: f64,
-    /// The strata, the harder one first.
+    /// The strata, the harder one first. The first one is empty, and the second one is the whole population, if trials lack parameters, or
+    /// if the simulation predicts about the same success for all of them.
     pub strata: [RealStratum; 2],
 }
 
@@ -206,6 +207,8 @@ pub struct CorrectedRate {
 pub struct TransferOptions {
     /// Columns that group the trials.
     pub groups: Vec<String>,
+    /// The policy in the trials that is the simulated one, if its name there differs.
+    pub policy: Option<String>,
     /// A file of settings that the real robot meets. Without it, the population is the simulated operating space.
     pub population: Option<PathBuf>,
 }
@@ -376,7 +379,8 @@ impl Transfer {
         let simulation = Simulation::open(source, options.population.as_deref())?;
         let (episodes, endings) = simulation.endings();
         hear(TransferStep::Simulated { episodes, endings: &endings });
-        let trials = RealTrials::open(real, simulation.space(), &options.groups)?;
+        let policy = options.policy.as_deref().unwrap_or(&source.dictionary().provenance().policy);
+        let trials = RealTrials::open(real, simulation.space(), &options.groups, policy)?;
         hear(TransferStep::Trials(&trials.trials));
         if trials.trials.is_empty() {
             let names: Vec<String> = trials.outside_in.iter().cloned().collect();
@@ -468,24 +472,25 @@ fn assemble(
     };
     let exact = if let Some(because) = &no_sample {
         Finding::not(because.clone())
-    } else if !trials.missing.is_empty() || trials.incomplete > 0 {
-        // The shares of the strata are those of complete settings.
-        Finding::not("trials have missing parameters, so their stratum is not known exactly")
     } else if let Some((name, _)) = trials.groupings.first() {
         Finding::not(format!("the trials share groups ({name}), and the exact test needs independent trials"))
     } else {
-        match strata(predictions, &outcomes) {
-            Some((cut, strata)) => Finding::Estimated(ExactRate {
-                interval_95: ends(exact_strata::bounds(strata, Confidence::P95.tail())),
-                cut,
-                strata: strata.map(|s| RealStratum {
-                    share: s.share,
-                    trials: s.trials.n(),
-                    successes: s.trials.successes(),
-                }),
+        // The shares of the strata are those of complete settings. Without strata the trials speak alone.
+        let complete = trials.missing.is_empty() && trials.incomplete == 0;
+        let divided = if complete { strata(predictions, &outcomes) } else { None };
+        let (cut, strata) = divided.unwrap_or_else(|| {
+            let all = Stratum { share: 1.0, trials: Trials::count(outcomes.iter().copied()) };
+            (0.0, [Stratum { share: 0.0, trials: Trials::NONE }, all])
+        });
+        Finding::Estimated(ExactRate {
+            interval_95: ends(exact_strata::bounds(strata, Confidence::P95.tail())),
+            cut,
+            strata: strata.map(|s| RealStratum {
+                share: s.share,
+                trials: s.trials.n(),
+                successes: s.trials.successes(),
             }),
-            None => Finding::not("the simulation predicts about the same success for all trials, or everywhere"),
-        }
+        })
     };
     let design_effect = prediction_powered::design_effect(&outcomes, &groups, Confidence::P95);
     let episodes = predictor::training(&simulation.table).len();

@@ -16,6 +16,8 @@ use crate::AnalysisError;
 const REPEATED: &str = "repeated setting";
 /// Most columns of a file.
 const MOST_COLUMNS: usize = 1_000;
+/// Columns with the name of the policy.
+const POLICY: [&str; 3] = ["policy", "policy_id", "policy_name"];
 /// Cells without a value.
 const MISSING: [&str; 5] = ["", "na", "nan", "null", "none"];
 
@@ -148,16 +150,48 @@ fn inside(domain: &Domain, value: f64) -> bool {
     }
 }
 
+/// Rejects trials of another policy, and of several.
+fn check_policy(
+    path: &Path,
+    header: &[String],
+    rows: &[(u64, Vec<String>)],
+    policy: &str,
+) -> Result<(), AnalysisError> {
+    let Some(at) = header.iter().position(|name| POLICY.contains(&name.to_lowercase().as_str())) else { return Ok(()) };
+    let named = |row: &&(u64, Vec<String>)| !MISSING.contains(&row.1[at].to_lowercase().as_str());
+    let mut rows = rows.iter().filter(named);
+    let Some((first, names)) = rows.next() else { return Ok(()) };
+    let name = &names[at];
+    if let Some((line, other)) = rows.find(|row| row.1[at] != *name) {
+        let reason = format!(
+            "a trial of the policy `{}`, and line {first} has one of `{name}`\nHint: give the trials of one policy; `robogate trial report` \
+             writes a file for each",
+            other[at]
+        );
+        return Err(wrong(path, *line, reason));
+    }
+    if name != policy {
+        let reason = format!(
+            "a trial of the policy `{name}`, and the simulation is of `{policy}`\nHint: if both are one policy, add --policy {name}"
+        );
+        return Err(wrong(path, *first, reason));
+    }
+    Ok(())
+}
+
 impl RealTrials {
     /// Reads trials. The columns are `success` (true or false, yes or no, 1 or 0), optionally `failure_mode`, the
     /// parameters of `space` by name, and groups. `groups` names the columns of trials that may share effects; without
     /// them those whose names say so are used, such as `operator`, `day` and `session`. Trials with equal parameters form
     /// groups too, if one of these is a continuous one: the others may be equal by chance.
     ///
+    /// A column `policy` must have the name `policy` in each row: trials of another policy say nothing about this one.
+    ///
     /// # Errors
     /// The first problem in the file, with its line.
-    pub fn open(path: &Path, space: &ParameterSpace, groups: &[String]) -> Result<Self, AnalysisError> {
+    pub fn open(path: &Path, space: &ParameterSpace, groups: &[String], policy: &str) -> Result<Self, AnalysisError> {
         let Rows { sha256, header, rows } = read(path)?;
+        check_policy(path, &header, &rows, policy)?;
         let place = |name: &str| header.iter().position(|column| column == name);
         let Some(success) = place("success") else {
             let found = header.join(", ");
@@ -185,6 +219,7 @@ impl RealTrials {
                 || Some(i) == mode
                 || columns.contains(&Some(i))
                 || names.contains(&header[i])
+                || POLICY.contains(&header[i].to_lowercase().as_str())
                 || header[i].is_empty()
         };
         let ignored = (0..header.len()).filter(|i| !used(*i)).map(|i| header[i].clone()).collect();

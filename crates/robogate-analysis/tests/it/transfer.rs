@@ -56,7 +56,7 @@ fn over(simulation: &Path, text: &str, groups: &[&str], population: Option<&str>
     let source = Source::open(simulation)?;
     let groups = groups.iter().map(|group| (*group).to_owned()).collect();
     let population = population.map(|text| write("population.csv", text));
-    Transfer::of(&source, simulation, &file, &TransferOptions { groups, population })
+    Transfer::of(&source, simulation, &file, &TransferOptions { groups, population, policy: None })
 }
 
 #[test]
@@ -176,7 +176,10 @@ fn missing_parameters_are_averaged() {
     let found = transfer(&simulation(&folder), &trials(40, "friction", "", |_| String::new()), &[]).unwrap();
     assert_eq!(found.real.missing, ["friction"]);
     assert!(found.rate.estimated().unwrap().worth_trials > 30.0);
-    assert!(found.exact.because().unwrap().contains("missing"));
+    // One stratum: the trials alone.
+    let exact = found.exact.estimated().unwrap();
+    assert_eq!((exact.strata[0].share, exact.strata[1].trials), (0.0, 40));
+    assert!((exact.interval_95[0] - found.alone.clopper_pearson_95[0]).abs() < 1e-6);
 }
 
 #[test]

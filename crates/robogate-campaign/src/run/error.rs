@@ -103,7 +103,7 @@ pub enum RunError {
         index: u64,
     },
     /// The episode is not recorded.
-    #[error("{} has no record of episode {index}. The campaign has {episodes} episodes, counted from 0; an unfinished campaign lacks some of them", dir.display())]
+    #[error("{} has no record of episode {index}. The campaign has at most {episodes} episodes, counted from 0; one that is unfinished, or a gate that stopped early, lacks some of them", dir.display())]
     NoSuchEpisode {
         /// The run's folder.
         dir: PathBuf,

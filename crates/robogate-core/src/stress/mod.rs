@@ -180,6 +180,11 @@ impl Stress {
         self.rows().filter(|row| row.group == StressGroup::Language).map(|row| row.name)
     }
 
+    /// The parameters that change images.
+    pub fn of_images(&self) -> impl Iterator<Item = &'static str> {
+        self.rows().filter(|row| row.group == StressGroup::Images).map(|row| row.name)
+    }
+
     /// What a space samples for this task: each parameter over its range. A task without cameras, and a run without wordings, lack some.
     pub fn parameters_for(&self, task: &TaskSpec) -> Vec<Parameter> {
         let parameter = |row: &StressParameter| {

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use ::csv::{ErrorKind, Reader, ReaderBuilder, StringRecord};
 
 use super::numbers::{Evidence, Numbers};
-use super::{Frame, Sink};
+use super::{Frame, Sink, units};
 use crate::DictionaryError;
 use crate::decode::Text;
 use crate::formula::unmarked;
@@ -17,7 +17,7 @@ use crate::raw::{MOST_FIELDS, Meter, RawRow, Scalar};
 const LONGEST: u64 = 1 << 20;
 
 pub(super) fn read(path: &Path, sink: Sink<'_>) -> Result<Frame, DictionaryError> {
-    let numbers = numbers(path)?;
+    let (numbers, units) = numbers(path)?;
     let mut table = Table::open(path)?;
     let mut row = RawRow::default();
     let mut repeated: Vec<u64> = Vec::new();
@@ -27,12 +27,20 @@ pub(super) fn read(path: &Path, sink: Sink<'_>) -> Result<Frame, DictionaryError
             continue;
         }
         row.fields.clear();
-        row.fields.extend(table.names.iter().cloned().zip(table.record.iter().map(|field| scalar(field, numbers))));
+        for ((name, field), unit) in table.names.iter().zip(&table.record).zip(&units) {
+            let field = unit.and_then(|_| units::parts(field)).map_or(field, |(number, _)| number);
+            row.fields.push((Arc::clone(name), scalar(field, numbers)));
+        }
         sink(&row)?;
         row.number += 1;
     }
     let text = table.reader.into_inner().into_inner();
     let mut notes: Vec<String> = text.note().into_iter().collect();
+    let with_unit = table.names.iter().zip(&units).filter_map(|(name, unit)| Some(format!("`{name}` in {}", (*unit)?)));
+    let with_unit: Vec<String> = with_unit.collect();
+    if !with_unit.is_empty() {
+        notes.push(format!("Numbers with a unit are read as numbers: {}.", with_unit.join(", ")));
+    }
     if let Some(first) = repeated.first() {
         let n = repeated.len();
         notes.push(format!(
@@ -42,15 +50,31 @@ pub(super) fn read(path: &Path, sink: Sink<'_>) -> Result<Frame, DictionaryError
     Ok(Frame { sha256: text.sha256(), notes, ..Frame::default() })
 }
 
-/// How the file writes numbers, from all of its fields.
-fn numbers(path: &Path) -> Result<Numbers, DictionaryError> {
+/// How the file writes numbers, and the unit of each column whose numbers have one, from all fields.
+fn numbers(path: &Path) -> Result<(Numbers, Vec<Option<&'static str>>), DictionaryError> {
     let mut table = Table::open(path)?;
     let mut evidence = Evidence::default();
+    let mut columns = vec![units::Column::default(); table.names.len()];
     while table.next()? {
         let line = table.line();
-        table.record.iter().for_each(|field| evidence.take(line, field));
+        if table.repeats_header()? {
+            continue;
+        }
+        for (field, column) in table.record.iter().map(str::trim).zip(&mut columns) {
+            evidence.take(line, units::parts(field).map_or(field, |(number, _)| number));
+            if !is_missing(field) {
+                column.take(line, field, Evidence::may_be_number);
+            }
+        }
     }
-    evidence.decide().map_err(|reason| DictionaryError::results(path, reason))
+    let units: Result<_, String> = table.names.iter().zip(&columns).map(|(name, column)| column.decide(name)).collect();
+    let decided = evidence.decide().and_then(|numbers| Ok((numbers, units?)));
+    decided.map_err(|reason| DictionaryError::results(path, reason))
+}
+
+/// Whether a field stands for a missing value. Other tools write `nan` and similar words.
+fn is_missing(text: &str) -> bool {
+    ["", "nan", "null", "none", "na", "n/a"].iter().any(|word| text.eq_ignore_ascii_case(word))
 }
 
 /// The records of a file after its header.
@@ -143,10 +167,10 @@ const TRUE: [&str; 11] =
 const FALSE: [&str; 10] =
     ["false", "False", "FALSE", "FALSCH", "FAUX", "FALSO", "ONWAAR", "FA\u{141}SZ", "FALSZ", "FALSKT"];
 
-/// Parses the value of a field. Other tools write `nan` and similar words for a missing value.
+/// Parses the value of a field.
 fn scalar(text: &str, numbers: Numbers) -> Scalar {
     let text = text.trim();
-    if ["", "nan", "null", "none", "na", "n/a"].contains(&text.to_ascii_lowercase().as_str()) {
+    if is_missing(text) {
         return Scalar::Null;
     }
     if TRUE.contains(&text) {

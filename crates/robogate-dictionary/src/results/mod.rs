@@ -30,6 +30,7 @@ mod policies;
 mod role;
 mod survey;
 mod task;
+mod units;
 mod vla_eval;
 
 use std::collections::BTreeSet;

@@ -143,7 +143,7 @@ const SPELLINGS: [(Role, &[&str]); 5] = [
 ];
 
 /// Words that name what several episodes share, if nothing but a number or a prefix stands beside them.
-const SHARED: [&str; 32] = [
+const SHARED: [&str; 49] = [
     "scenario",
     "scene",
     "case",
@@ -176,6 +176,24 @@ const SHARED: [&str; 32] = [
     "cell",
     "site",
     "lab",
+    "worker",
+    "team",
+    "tray",
+    // German, French, Spanish, Italian, Dutch.
+    "bediener",
+    "pruefer",
+    "datum",
+    "schicht",
+    "sitzung",
+    "maschine",
+    "roboter",
+    "operateur",
+    "jour",
+    "equipe",
+    "operador",
+    "dia",
+    "turno",
+    "operatore",
 ];
 
 /// Words that may stand beside one of [`SHARED`].
@@ -215,6 +233,41 @@ pub fn names_scenario(name: &str) -> bool {
         || only_identifies(name)
         || has(&["seed"])
         || is_initial_state(&plain)
+}
+
+/// The name as that of a parameter, of letters, digits and underscores: `Mass (kg)` is `Mass_kg`. `None` if it is one already, or has nothing
+/// of it.
+pub(super) fn as_parameter(name: &str) -> Option<String> {
+    let is_kept = |c: char| c.is_ascii_alphanumeric() || c == '_';
+    if name.chars().all(is_kept) {
+        return None;
+    }
+    let mut found = String::with_capacity(name.len());
+    for c in name.chars() {
+        match c {
+            c if is_kept(c) => found.push(c),
+            '\u{e4}' => found += "ae",
+            '\u{f6}' => found += "oe",
+            '\u{fc}' => found += "ue",
+            '\u{c4}' => found += "Ae",
+            '\u{d6}' => found += "Oe",
+            '\u{dc}' => found += "Ue",
+            '\u{df}' => found += "ss",
+            '\u{b5}' | '\u{3bc}' => found.push('u'),
+            '\u{e0}'..='\u{e5}' => found.push('a'),
+            '\u{e7}' => found.push('c'),
+            '\u{e8}'..='\u{eb}' => found.push('e'),
+            '\u{ec}'..='\u{ef}' => found.push('i'),
+            '\u{f1}' => found.push('n'),
+            '\u{f2}'..='\u{f5}' => found.push('o'),
+            '\u{f9}'..='\u{fb}' => found.push('u'),
+            '%' => found += "_percent",
+            '\u{b0}' => found += "_deg_",
+            _ => found.push('_'),
+        }
+    }
+    let words: Vec<&str> = found.split('_').filter(|word| !word.is_empty()).collect();
+    (!words.is_empty()).then(|| words.join("_"))
 }
 
 /// The name in lower case, with `_` for every other separator.
@@ -328,11 +381,28 @@ mod tests {
 
     #[test]
     fn times_of_what_is_shared_group_nothing() {
-        for name in ["date_time", "experimenter", "tester_id", "operator", "Labeler"] {
+        for name in ["date_time", "experimenter", "tester_id", "operator", "Labeler", "Bediener", "schicht_nr"] {
             assert!(groups_rows(name), "{name}");
         }
         for name in ["robot_time", "cell_time", "session_time", "person", "room", "mass"] {
             assert!(!groups_rows(name), "{name}");
+        }
+    }
+
+    #[test]
+    fn names_of_spreadsheets_become_parameters() {
+        for (name, wanted) in [
+            ("Mass (kg)", Some("Mass_kg")),
+            ("H\u{f6}he", Some("Hoehe")),
+            ("belt-speed", Some("belt_speed")),
+            ("Temp \u{b0}C", Some("Temp_deg_C")),
+            ("humidity [%]", Some("humidity_percent")),
+            ("dur\u{e9}e", Some("duree")),
+            ("mass_kg", None),
+            ("", None),
+            ("--", None),
+        ] {
+            assert_eq!(as_parameter(name).as_deref(), wanted, "{name}");
         }
     }
 

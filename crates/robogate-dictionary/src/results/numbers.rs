@@ -97,6 +97,11 @@ impl Evidence {
         }
     }
 
+    /// Whether a field is a number, with whatever separators.
+    pub(super) fn may_be_number(text: &str) -> bool {
+        shape(text).is_some() || plain(text).is_some()
+    }
+
     /// How the file writes numbers, or why that cannot be known.
     pub(super) fn decide(self) -> Result<Numbers, String> {
         const HINT: &str = "Hint: write every number with a decimal point and without thousands separators";

@@ -308,6 +308,7 @@ impl<'a> Survey<'a> {
                 _ if self.results.has(column) => Role::FailureMode.as_str().replace('_', " "),
                 _ if ignored => "not used, as requested".to_owned(),
                 _ if names::suggested(column) == Suggested::Identifier => "identifier, not used".to_owned(),
+                _ if self.mapping.parameters.is_some() => "not used: the mapping names all parameters".to_owned(),
                 _ => "not used".to_owned(),
             }
         };
@@ -381,6 +382,12 @@ impl<'a> Survey<'a> {
             let own = format!("source_{name}");
             let is_setting = self.mapping.parameters.is_none() && SETTINGS.contains(&name);
             let name = if is_setting && !known.contains(&own) { &own } else { name };
+            // A spreadsheet names its columns with units and spaces.
+            let taken = |name: &String| {
+                known.contains(name) || parameters.iter().any(|(_, parameter)| *parameter.name == **name)
+            };
+            let spelled = names::as_parameter(name).filter(|spelled| !taken(spelled));
+            let name = spelled.as_deref().unwrap_or(name);
             let domain = if self.mapping.parameters.is_some() && ![SOURCE_SEED, SOURCE_EPISODE].contains(&name) {
                 Ok(self.required(&field, name)?)
             } else {

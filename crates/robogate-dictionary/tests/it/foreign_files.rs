@@ -80,6 +80,28 @@ fn decimal_commas_are_numbers() {
 }
 
 #[test]
+fn numbers_with_a_unit_are_numbers() {
+    let (provenance, entries) =
+        read("unit", "success;humidity;mass;part\n1;45 %;0,5 kg;12A\n0;5 %;;13A\n1;99,5 %;1,25 kg;12A\n").unwrap();
+    assert_eq!(numbers(&entries, "humidity"), [45.0, 5.0, 99.5]);
+    assert_eq!(entries[2].episode.scenario.requested.get("part"), Some(&Value::Category("12A".into())));
+    assert!(notes(&provenance).contains("read as numbers: `humidity` in %, `mass` in kg."), "{}", notes(&provenance));
+    refused("units", "success,mass\n1,500 g\n0,0.7 kg\n", &["`g` in line 2 and `kg` in line 3", "Hint: "]);
+    refused("bare", "success,humidity\n1,45 %\n0,50\n", &["`%` in line 2 and no unit in line 3"]);
+}
+
+#[test]
+fn columns_of_spreadsheets_are_parameters() {
+    let (provenance, entries) =
+        read("names", "success,Mass (kg),H\u{f6}he,belt-speed,belt_speed\n1,0.5,2,3,4\n0,0.7,2.5,5,6\n").unwrap();
+    assert_eq!(numbers(&entries, "Mass_kg"), [0.5, 0.7]);
+    assert_eq!(numbers(&entries, "Hoehe"), [2.0, 2.5]);
+    // Another column has the name.
+    assert_eq!(numbers(&entries, "belt_speed"), [4.0, 6.0]);
+    assert!(notes(&provenance).contains("Column `belt-speed` is ignored"), "{}", notes(&provenance));
+}
+
+#[test]
 fn separator_line_is_read() {
     for line in ["sep=;\r\n", "\"sep=;\"\n", "SEP=;\n"] {
         let (provenance, entries) =

@@ -20,9 +20,23 @@ pub(super) fn problems(
 ) -> Vec<Problem> {
     let reason = |file: &FileRecord, json: &Value| match file.role {
         Role::Admission => {
-            let judged = files.iter().find(|file| file.role == Role::Fingerprint).map(|file| file.sha256.as_str());
-            other(json, "/fingerprint_sha256", judged.unwrap_or("no fingerprint"), "`robogate admit --json`")
-                .or_else(|| lacks(json, "/admitted", Value::is_boolean, "`robogate admit --json`"))
+            // Without a running policy, only the files of its checkpoint were compared. The gate recorded both in files of this role.
+            let place = if json["fingerprint_sha256"].is_null() && json["checkpoint_sha256"].is_string() {
+                "/checkpoint_sha256"
+            } else {
+                "/fingerprint_sha256"
+            };
+            let found = json.pointer(place).and_then(Value::as_str);
+            let mut judged =
+                files.iter().filter(|file| file.role == Role::Fingerprint).map(|file| file.sha256.as_str());
+            let expected = judged.clone().find(|sha256| found == Some(*sha256)).or_else(|| judged.next());
+            other(
+                json,
+                place,
+                expected.unwrap_or("that of a fingerprint, which the evidence does not have"),
+                "`robogate admit --json`",
+            )
+            .or_else(|| lacks(json, "/admitted", Value::is_boolean, "`robogate admit --json`"))
         }
         Role::Monitor => other(json, "/dataset_sha256", dataset_sha256, "`robogate monitor reference`"),
         Role::Requalification => other(json, "/dataset_sha256", dataset_sha256, "`robogate requalify --json`")

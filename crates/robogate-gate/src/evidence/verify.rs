@@ -12,7 +12,7 @@ use super::{
     MANIFEST, Manifest, PAYLOAD_TYPE, PolicyBinding, Problem, PublicKey, QuestionBinding, REQUIREMENTS, Registered,
     SIGNED_ENDING, SIGNER, TEST_RESULT, facts, statement,
 };
-use crate::{Counts, RealEvidence, Verdict};
+use crate::{Counts, Population, RealEvidence, RequirementResult, Verdict};
 
 /// Size limit of manifests, statements and public keys, in bytes. Real ones are far smaller.
 const LONGEST: u64 = 16 << 20;
@@ -26,6 +26,12 @@ pub struct Verified {
     pub because: String,
     /// Numbers of episodes.
     pub counts: Counts,
+    /// What the episodes represent.
+    pub population: Population,
+    /// Each requirement with its limit, figure and status, recomputed from the rows.
+    pub requirements: Vec<RequirementResult>,
+    /// What a reader of the verdict must know, such as settings of the task that were changed.
+    pub remarks: Vec<String>,
     /// The policy that was judged.
     pub policy: String,
     /// How the policy is identified.
@@ -116,6 +122,9 @@ pub fn verify(folder: &Path, trusted: Option<&PublicKey>) -> Result<Verified, Ve
     match (evaluation, signed) {
         (Some(evaluation), Some(signed)) if problems.is_empty() => Ok(Verified {
             verdict: evaluation.verdict,
+            remarks: evaluation.remarks(),
+            population: evaluation.population,
+            requirements: evaluation.results,
             because: evaluation.because,
             counts: evaluation.counts,
             policy: evaluation.policy,

@@ -285,6 +285,16 @@ impl Requalifier {
         let properties_tested = family.size as u64;
         let headline = match (changes.first(), answer) {
             (Some(change), _) => change.sentence.clone(),
+            // Success is within its margin, but there are too few pairs for all others.
+            (None, Answer::NoRelevantChange) if bound > RELEVANT => format!(
+                "No relevant change of success: it differs by {} to {} points. Of {} other properties none is shown to change, but with \
+                 {} a change in up to {} of the episodes, net, is not excluded (95 %).",
+                points(low),
+                points(high),
+                properties_tested - 1,
+                counted(success.pairs, "pair"),
+                percent(bound)
+            ),
             (None, Answer::NoRelevantChange) => format!(
                 "No relevant change: success differs by {} to {} points, and any of {} other properties changes in at most {} of the \
                  episodes, net (95 %).",

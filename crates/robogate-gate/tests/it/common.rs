@@ -3,7 +3,8 @@ use std::sync::Arc;
 use robogate_core::{Assignment, FailureMode, Fault, FaultKind, Measures, TaskSpec};
 use robogate_dictionary::{Label, v1};
 use robogate_gate::{
-    Baseline, BaselineFigure, Ending, Evaluation, Metric, Population, Question, Record, Requirements, Sampling, Trial,
+    Baseline, BaselineFigure, Conditions, Ending, Evaluation, Metric, Population, Question, Record, Requirements,
+    Sampling, Trial,
 };
 
 /// The task of these tests.
@@ -79,6 +80,7 @@ fn record(population: Population, trials: Vec<Trial>) -> Record {
         imported: false,
         real: None,
         served: false,
+        conditions: Conditions::default(),
     }
 }
 

@@ -88,6 +88,9 @@ pub struct WarnFile {
     pub warn_format: u32,
     /// The conditions of the calibration.
     pub conditions: Conditions,
+    /// The runs whose episodes trained the detector or gave the threshold: SHA-256 (hex) of their provenance. They measure no promise.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub runs: Vec<String>,
     /// The columns of the detector.
     pub features: Features,
     /// The parameters of [`Features::parameters`].

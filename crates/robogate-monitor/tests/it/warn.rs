@@ -153,6 +153,7 @@ fn file_repeats_the_scores() {
         };
         let word = || "x".to_owned();
         let file = WarnFile {
+            runs: Vec::new(),
             warn_format: WarnFile::FORMAT,
             conditions: Conditions { task: word(), engine: word(), robot: word(), policy: word(), population: word() },
             features: detector.features.clone(),

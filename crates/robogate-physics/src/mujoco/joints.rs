@@ -16,6 +16,12 @@ pub(super) fn kind(kind: JointKind) -> MjtJoint {
     }
 }
 
+/// How firmly dry friction holds a joint: MuJoCo's largest impedance d. A part 1 - d of the acceleration is let through, so that a loaded
+/// joint creeps whatever its friction is: with the default of 0.9 to 0.95, a lever of 0.4 kg sank by 4 degrees in a second.
+const HOLDS: f64 = 0.9999;
+/// The time in which dry friction stops a joint, in seconds, and the damping ratio.
+const HOLDS_REFERENCE: [f64; 2] = [0.005, 1.0];
+
 /// Adds the joint of a body. Angles are in degrees if the model says so.
 pub(super) fn add(body: &mut MjsBody, name: &str, joint: &Joint, degrees: bool) {
     let angle = |value: f64| if degrees && joint.kind == JointKind::Hinge { value.to_degrees() } else { value };
@@ -33,6 +39,8 @@ pub(super) fn add(body: &mut MjsBody, name: &str, joint: &Joint, degrees: bool) 
     added.set_springref(angle(joint.rest));
     *added.ref_mut() = 0.0;
     added.set_frictionloss(joint.friction);
+    *added.solref_friction_mut() = HOLDS_REFERENCE;
+    added.solimp_friction_mut()[..2].fill(HOLDS);
     added.set_armature(0.0);
     added.set_margin(0.0);
 }

@@ -92,10 +92,22 @@ impl Columns<'_> {
             && affine.iter().all(Option::is_some)
             && !affine.iter().flatten().any(|fit| self.is_unit(*fit))
         {
-            return vec![format!(
-                "{} numbers of the action are scaled and shifted, each in its own way: the normaliser of another data set",
-                differ.len()
-            )];
+            let fits: Vec<(f64, f64)> = affine.iter().flatten().copied().collect();
+            let one = fits.iter().all(|(factor, offset)| {
+                (factor / fits[0].0 - 1.0).abs() < 0.01 && offset.abs() < 0.01 * factor.abs().max(1.0)
+            });
+            return vec![if one {
+                format!(
+                    "{} numbers of the action are {:.4} times those of the judged policy: another scale",
+                    fits.len(),
+                    fits[0].0
+                )
+            } else {
+                format!(
+                    "{} numbers of the action are scaled and shifted, each in its own way: the normaliser of another data set",
+                    fits.len()
+                )
+            }];
         }
         let each: Vec<(usize, Option<String>)> =
             differ.iter().zip(affine).map(|(at, fit)| (*at, self.of_column(*at, fit, judged))).collect();

@@ -83,6 +83,8 @@ fn rates(of: &Transfer) -> Section {
         }
     }
     match of.exact.estimated() {
+        // That of the trials alone, which is the next row.
+        Some(exact) if exact.strata[0].share <= 0.0 => {}
         Some(exact) => rows.push(row("trials and simulation", None, exact.interval_95, "exact, two strata")),
         None => blocks.push(Block::cannot("The exact interval", of.exact.because().unwrap_or_default())),
     }

@@ -22,6 +22,25 @@ pub struct Change {
     pub command: String,
 }
 
+/// The options with which the judged subject runs again, each with a space before it.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Again {
+    /// Those of another gate on the same scenarios.
+    pub gate: String,
+    /// Those of another gate on other scenarios.
+    pub gate_elsewhere: String,
+    /// Those of a run.
+    pub run: String,
+}
+
+impl Again {
+    /// What the provenance of a run names. It does not name files of requirements, scenarios or profiles.
+    pub fn of(analysis: &Analysis) -> Self {
+        let same = same_subject(&analysis.provenance);
+        Self { gate: same.clone(), gate_elsewhere: same.clone(), run: same }
+    }
+}
+
 /// The success rate that the gate requires of all scenarios: the target of the advice.
 pub fn required_success(evaluation: &Evaluation) -> Option<f64> {
     let of_all = |result: &&robogate_gate::RequirementResult| {
@@ -34,14 +53,15 @@ pub fn required_success(evaluation: &Evaluation) -> Option<f64> {
 }
 
 /// What to change. `analysis` has the rows of the evaluation, with [`required_success`] as its target. `phases` are the phases in
-/// which its most frequent failure mode ended episodes, with their counts. `run` is the run as a word of a shell command. Empty
-/// for a gate that passed.
+/// which its most frequent failure mode ended episodes, with their counts. `run` is the run as a word of a shell command, and `again`
+/// has the options of a new one. Empty for a gate that passed.
 pub fn what_to_change(
     evaluation: &Evaluation,
     analysis: &Analysis,
     phases: &[(String, u64)],
     watch: Option<&Watch>,
     run: &str,
+    again: &Again,
 ) -> Vec<Change> {
     if matches!(evaluation.verdict, Verdict::Pass | Verdict::Invalid) || evaluation.ruled_out.is_some() {
         return Vec::new();
@@ -49,7 +69,6 @@ pub fn what_to_change(
     let mut changes = Vec::new();
     // A policy that was changed must be judged on new scenarios.
     let seed = analysis.provenance.seed.wrapping_add(1);
-    let same = same_subject(&analysis.provenance);
     let add = |changes: &mut Vec<Change>, text: String, command: String| changes.push(Change { text, command });
     // A requirement other than success says nothing about limits that raise success.
     let unmet = |metric: Metric| {
@@ -63,9 +82,11 @@ pub fn what_to_change(
     if let Some(advice) = limits.filter(|_| unmet(Metric::Success)) {
         let command = match advice {
             _ if !analysis.subject.replayable => String::new(),
-            Advice::Operate { .. } => format!("robogate gate{same} --space LIMITED.toml --seed {seed}"),
+            Advice::Operate { .. } => {
+                format!("robogate gate{} --space LIMITED.toml --seed {seed}", again.gate_elsewhere)
+            }
             Advice::RunMore { episodes, .. } => {
-                format!("robogate run{same} -n {} --seed {seed}", rounded_up(*episodes))
+                format!("robogate run{} -n {} --seed {seed}", again.run, rounded_up(*episodes))
             }
             _ => String::new(),
         };
@@ -83,7 +104,7 @@ pub fn what_to_change(
                     "No parameter separates failures from successes in these episodes. A difference of 10 points needs about {}.",
                     counted(episodes, "episode")
                 );
-                let command = format!("robogate run{same} -n {episodes} --seed {seed}");
+                let command = format!("robogate run{} -n {episodes} --seed {seed}", again.run);
                 add(&mut changes, text, if analysis.subject.replayable { command } else { String::new() });
             }
         }
@@ -120,7 +141,7 @@ pub fn what_to_change(
             }
         );
         let rounds = 2 * u64::from(evaluation.requirements.budget.rounds);
-        let command = format!("robogate gate{same} --rounds {rounds} --seed {seed}");
+        let command = format!("robogate gate{} --rounds {rounds} --seed {seed}", again.gate);
         add(&mut changes, text, if imported { String::new() } else { command });
     }
     changes

@@ -13,7 +13,7 @@ use robogate_gate::{
     Evaluation, Metric, Mode, NextBudget, RequirementResult, Sampling, StageComparison, Status, UNLIMITED, Verdict,
 };
 
-pub use changes::{Change, required_success, what_to_change};
+pub use changes::{Again, Change, required_success, what_to_change};
 pub use fleet::{fleet_drivers, fleet_headline, fleet_html, fleet_markdown, fleet_share};
 pub use junit::junit;
 pub use leaderboard::{

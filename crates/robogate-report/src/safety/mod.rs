@@ -278,7 +278,9 @@ fn what(role: Role) -> &'static str {
         Role::Robot => "a file of the robot",
         Role::Environment => "a file of the environment",
         Role::Policy => "the file of the policy",
-        Role::Fingerprint => "requests of the gate with the answers of the judged policy",
+        Role::Fingerprint => {
+            "what identifies the judged policy: its answers to requests of the gate, or the files of its checkpoint"
+        }
         Role::Repeats => "what repeats of the first episodes after the last one",
         Role::Admission => "the comparison of the deployed policy with the judged one",
         Role::Monitor => "the reference of the monitor",

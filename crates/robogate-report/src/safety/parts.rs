@@ -114,7 +114,10 @@ pub(super) fn deployed(judged: &Judged<'_>) -> Claim {
         }
         (None, Some(admitted)) => (
             Answered::Yes,
-            format!("`robogate admit` compared its answers to {} requests of the gate.", admitted["requests"]),
+            match admitted["requests"].as_u64() {
+                Some(requests) => format!("`robogate admit` compared its answers to {requests} requests of the gate."),
+                None => "`robogate admit` compared the files of its checkpoint with those of the gate.".to_owned(),
+            },
         ),
         (None, None) => {
             let how = match judged.with_role(Role::Fingerprint).next() {

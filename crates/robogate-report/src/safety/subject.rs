@@ -26,8 +26,11 @@ fn policy(judged: &Judged<'_>) -> Claim {
         text: text.to_owned(),
         state: if fingerprint.is_empty() { Answered::Open } else { Answered::Yes },
         because: match fingerprint.is_empty() {
-            true => "The evidence has neither its file nor its answers to known requests.".to_owned(),
-            false => "Its answers to requests of the gate are recorded, and identify it.".to_owned(),
+            true => "The evidence has neither its files nor its answers to known requests.".to_owned(),
+            false => {
+                "Its answers to requests of the gate, or the files of its checkpoint, are recorded and identify it."
+                    .to_owned()
+            }
         },
         files: fingerprint,
     });

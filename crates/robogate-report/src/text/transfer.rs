@@ -90,7 +90,7 @@ fn adds(of: &Transfer) -> Vec<String> {
             format!("The simulation saves no trial. The trials alone give {}.", percent_range(found.alone_95))
         });
     }
-    if let Some(exact) = of.exact.estimated() {
+    if let Some(exact) = of.exact.estimated().filter(|exact| exact.strata[0].share > 0.0) {
         lines.push(format!(
             "The exact interval, which holds for any quality of the simulation, is {}. The trials alone give {}.",
             percent_range(exact.interval_95),

@@ -93,10 +93,15 @@ impl Interpreter {
         Ok(self)
     }
 
-    /// Starts the command `python -m robogate_eval.environments VERB ARGUMENTS`.
-    pub(crate) fn start(&self, verb: &str, arguments: &[impl AsRef<OsStr>]) -> io::Result<Process> {
+    /// Starts the command `python -m robogate_eval.environments VERB ARGUMENTS`, as the process with this number. Python's hashes of texts
+    /// have a seed of their own in each process, so the check of repeated episodes always finds an environment that depends on them, for
+    /// example by the order of a set.
+    pub(crate) fn start(&self, verb: &str, arguments: &[impl AsRef<OsStr>], number: usize) -> io::Result<Process> {
         let mut command = self.command(verb);
         command.args(arguments);
+        if std::env::var_os("PYTHONHASHSEED").is_none() {
+            command.env("PYTHONHASHSEED", number.to_string());
+        }
         let Some(sandbox) = &self.sandbox else { return Ok(Process::new(command.spawn()?, None)) };
         let (mut inside, scratch) = sandbox.around(&command)?;
         Ok(Process::new(inside.spawn()?, Some(scratch)))
@@ -145,7 +150,7 @@ impl Interpreter {
         arguments: &[&str],
         timeouts: &Timeouts,
     ) -> Result<T, Failure> {
-        let mut process = self.start(verb, arguments).map_err(|why| self.unusable(&why)).or_request()?;
+        let mut process = self.start(verb, arguments, 0).map_err(|why| self.unusable(&why)).or_request()?;
         let what = arguments.first().unwrap_or(&verb);
         let line = process.answer(what, timeouts).map_err(|why| {
             let how = match (&why.late, why.status) {

@@ -45,6 +45,8 @@ pub struct Servers {
 struct Request {
     /// Whether its environment runs an episode first, which shows what it uses.
     first: bool,
+    /// Its position in the pool.
+    position: usize,
     reply: Sender<io::Result<Process>>,
 }
 
@@ -78,7 +80,7 @@ impl Servers {
         let loads = loads.map(|policy| format!("--policy={}", policy.argument()));
         let probe = probe.map(|folder| format!("--probe={}", folder.display()));
         let thread = thread::spawn(move || {
-            for Request { first, reply } in requests {
+            for Request { first, position, reply } in requests {
                 let first = first.then_some("--first");
                 let arguments: Vec<&str> = ["--child", &name]
                     .into_iter()
@@ -87,7 +89,7 @@ impl Servers {
                     .chain(probe.as_deref())
                     .collect();
                 // Without a receiver the process is dropped, which ends it.
-                let _ = reply.send(python.start("serve", &arguments));
+                let _ = reply.send(python.start("serve", &arguments, position));
             }
         });
         let (starter, thread) = (Some(starter), Some(thread));
@@ -146,7 +148,7 @@ impl Servers {
     fn launch(&self, position: usize) -> Result<Address, Failure> {
         let broken = || anyhow!("the thread that starts servers has ended");
         let (reply, started) = mpsc::channel();
-        let request = Request { first: position == 0, reply };
+        let request = Request { first: position == 0, position, reply };
         self.starter.as_ref().ok_or_else(broken).or_broken()?.send(request).map_err(|_| broken()).or_broken()?;
         let started = started.recv().map_err(|_| broken()).or_broken()?;
         let mut process = started.map_err(|why| self.interpreter.unusable(&why)).or_request()?;

@@ -11,6 +11,7 @@ use std::os::unix::process::CommandExt;
 use std::process::{Command, id};
 
 use anyhow::{Context, anyhow};
+use caps::{CapSet, Capability};
 use landlock::{
     ABI, Access, AccessFs, AccessNet, CompatLevel, Compatible, Ruleset, RulesetAttr, RulesetCreated,
     RulesetCreatedAttr, RulesetError, Scope, path_beneath_rules,
@@ -53,6 +54,7 @@ pub(super) fn become_restricted(rights: &Rights, mut command: Command) -> anyhow
 /// Restricts this process. Returns the number of the listening socket.
 fn restrict(rights: &Rights) -> anyhow::Result<i32> {
     Limits::PYTHON.set()?;
+    drop_capabilities()?;
     let listener = TcpListener::bind("127.0.0.1:0").context("cannot listen on the loopback interface")?;
     fcntl(&listener, FcntlArg::F_SETFD(FdFlag::empty())).context("cannot keep the listening socket")?;
     ruleset()
@@ -76,6 +78,30 @@ fn restrict(rights: &Rights) -> anyhow::Result<i32> {
     // The program that replaces this one owns it.
     let _ = listener.into_raw_fd();
     Ok(number)
+}
+
+/// Gives up what an administrator may do, such as reading the environment variables of other processes, which Landlock does not refuse
+/// to one. The rights to read and write files of all users stay: Landlock restricts these.
+fn drop_capabilities() -> anyhow::Result<()> {
+    let kept = [Capability::CAP_DAC_OVERRIDE, Capability::CAP_DAC_READ_SEARCH];
+    let lost = || -> Result<(), caps::errors::CapsError> {
+        for capability in
+            caps::runtime::thread_all_supported().into_iter().filter(|capability| !kept.contains(capability))
+        {
+            // Only an administrator can have, and give up, what a program could still get.
+            if caps::has_cap(None, CapSet::Bounding, capability)?
+                && caps::has_cap(None, CapSet::Effective, Capability::CAP_SETPCAP)?
+            {
+                caps::drop(None, CapSet::Bounding, capability)?;
+            }
+        }
+        for set in [CapSet::Inheritable, CapSet::Effective, CapSet::Permitted] {
+            let own = caps::read(None, set)?;
+            caps::set(None, set, &own.into_iter().filter(|capability| kept.contains(capability)).collect())?;
+        }
+        Ok(())
+    };
+    lost().context("cannot give up the rights of an administrator")
 }
 
 /// Everything that Landlock can refuse. Newer kernels also refuse connections, and signals to other
@@ -134,6 +160,11 @@ fn refused() -> anyhow::Result<Calls> {
         libc::SYS_tkill,
         libc::SYS_setsid,
         libc::SYS_kcmp,
+        // Memory and messages that any process can share. `shm_open` is a file.
+        libc::SYS_shmget,
+        libc::SYS_shmat,
+        libc::SYS_msgget,
+        libc::SYS_semget,
         // System calls that bypass this filter, or have had many defects.
         libc::SYS_io_uring_setup,
         libc::SYS_io_uring_enter,
@@ -190,13 +221,16 @@ fn refused() -> anyhow::Result<Calls> {
     let (own, thread) = (u64::from(id()), libc::CLONE_THREAD as u64);
     let fast_open = libc::MSG_FASTOPEN as u64;
     let other = |argument: u8| [(argument, SeccompCmpOp::Ne, 0), (argument, SeccompCmpOp::Ne, own)];
-    let conditional: [(i64, &[Condition]); 8] = [
+    let conditional: [(i64, &[Condition]); 10] = [
         // A new process. Threads are allowed.
         (libc::SYS_clone, &[(0, SeccompCmpOp::MaskedEq(thread), 0)]),
         // Signals and limits of other processes.
         (libc::SYS_kill, &other(0)),
         (libc::SYS_tgkill, &[(0, SeccompCmpOp::Ne, own)]),
         (libc::SYS_prlimit64, &other(0)),
+        // Priorities of other processes. The first argument 1 is a process.
+        (libc::SYS_setpriority, &other(1)),
+        (libc::SYS_ioprio_set, &other(1)),
         (libc::SYS_setpgid, &[(1, SeccompCmpOp::Ne, 0)]),
         // Data that connect a socket.
         (libc::SYS_sendto, &[(3, SeccompCmpOp::MaskedEq(fast_open), fast_open)]),

@@ -161,13 +161,42 @@ impl Packages {
         for requirement in requirements {
             digest.update(requirement);
             let path = Path::new(requirement);
-            if path.is_file() {
-                digest.update(fs::read(path).with_context(|| format!("cannot read {}", path.display())).or_request()?);
+            if path.exists() {
+                content(path, &mut digest, 0)
+                    .with_context(|| format!("cannot read {}", path.display()))
+                    .or_request()?;
             }
             digest.update([0]);
         }
         Ok(hex(&digest.finalize()).chars().take(16).collect())
     }
+}
+
+/// Adds the content of a wheel, or of a folder that pip builds: names and bytes of its files. What Python and version control write there
+/// is left out.
+fn content(path: &Path, digest: &mut Sha256, depth: usize) -> anyhow::Result<()> {
+    /// The deepest folder. Deeper files are not part of a package.
+    const DEEPEST: usize = 16;
+    if !path.is_dir() {
+        digest.update(fs::read(path)?);
+        return Ok(());
+    }
+    let mut entries: Vec<_> = fs::read_dir(path)?.collect::<std::io::Result<_>>()?;
+    entries.sort_by_key(std::fs::DirEntry::file_name);
+    for entry in entries {
+        let name = entry.file_name().to_string_lossy().into_owned();
+        let written = name == "__pycache__" || name.starts_with('.') || name.ends_with(".egg-info") || name == "build";
+        // A link may lead back to this folder.
+        let leads = entry.file_type()?.is_symlink() && entry.path().is_dir();
+        if written || leads || depth == DEEPEST {
+            continue;
+        }
+        digest.update(&name);
+        digest.update([0]);
+        content(&entry.path(), digest, depth + 1)?;
+        digest.update([0]);
+    }
+    Ok(())
 }
 
 /// A requirement with an exact version, or the absolute path of a wheel or a folder.
@@ -224,6 +253,27 @@ mod tests {
         for wrong in ["mujoco", "mujoco>=3", "--index-url==x", "a==b;c", "mujoco==", "./missing.whl"] {
             assert!(pinned(wrong).is_err(), "{wrong}");
         }
+    }
+
+    #[test]
+    fn changed_folder_is_another_environment() {
+        let folder = tempfile::TempDir::new().unwrap();
+        let of = || {
+            let mut digest = Sha256::new();
+            content(folder.path(), &mut digest, 0).unwrap();
+            hex(&digest.finalize())
+        };
+        let write = |name: &str, text: &str| {
+            fs::create_dir_all(folder.path().join(name).parent().unwrap()).unwrap();
+            fs::write(folder.path().join(name), text).unwrap();
+        };
+        write("pack/__init__.py", "DRAG = 1.0");
+        let first = of();
+        write("pack/__pycache__/x.pyc", "x");
+        write(".git/HEAD", "x");
+        assert_eq!(of(), first);
+        write("pack/__init__.py", "DRAG = 2.5");
+        assert_ne!(of(), first);
     }
 
     #[test]

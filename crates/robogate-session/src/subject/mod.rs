@@ -208,6 +208,20 @@ impl Subject {
             ))
             .or_request();
         }
+        if let (Some(stress), Some(profile)) = (&stress, profile) {
+            let unseen: Vec<&str> = if profile.cameras.is_empty() { stress.of_images().collect() } else { Vec::new() };
+            if !unseen.is_empty() && unseen.len() == stress.parameters.len() {
+                return Err(anyhow!(
+                    "--stress: the profile {} has no camera, so images that are changed do not reach the policy\nHint: choose --stress \
+                     state,actions",
+                    profile.name
+                ))
+                .or_request();
+            }
+            if !unseen.is_empty() {
+                note(format_args!("without effect, because the profile has no camera: {}", unseen.join(", ")));
+            }
+        }
         if let Some(stress) = &stress {
             self.task = stress.declared_in(&self.task);
         }

@@ -69,8 +69,8 @@ pub struct ExpectedContest {
 
 /// The blocks for and against the claim that one policy is better than another.
 ///
-/// An invalid trial counts in the worst case for the claim: as a failure of the policy that would be better, and as a success of the
-/// other one. If it had been valid, the statistic could only be larger, so that the error holds for any reason of invalid trials.
+/// An invalid trial counts in the worst case for the claim: as the lowest score of the policy that would be better, and as the highest of
+/// the other one. If it had been valid, the statistic could only be larger, so that the error holds for any reason of invalid trials.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 struct Claim {
     won: u64,
@@ -78,11 +78,11 @@ struct Claim {
 }
 
 impl Claim {
-    /// Adds a block: the trial of the policy that would be better, and that of the other one.
-    fn add(&mut self, better: Option<bool>, other: Option<bool>) {
-        let (better, other) = (better.unwrap_or(false), other.unwrap_or(true));
-        self.won += u64::from(better && !other);
-        self.lost += u64::from(other && !better);
+    /// Adds a block: the score of the policy that would be better, and that of the other one.
+    fn add(&mut self, better: Option<u32>, other: Option<u32>, top: u32) {
+        let (better, other) = (better.unwrap_or(0), other.unwrap_or(top));
+        self.won += u64::from(better > other);
+        self.lost += u64::from(other > better);
     }
 }
 
@@ -94,13 +94,16 @@ pub struct Elimination {
     guarantee: Guarantee,
     schedule: Schedule,
     boundary: Boundary,
+    /// The score of a success.
+    top: u32,
     /// The number of looks so far.
     at: u64,
     /// For each pair i < j, the valid blocks that each won, after each look at which both ran.
     pairs: Vec<Vec<Won>>,
     /// For each pair i < j, the blocks of "i is better", and those of "j is better".
     claims: Vec<[Claim; 2]>,
-    rates: Vec<(u64, u64)>,
+    /// Valid trials, successes and the sum of scores of each policy.
+    trials: Vec<[u64; 3]>,
     dropped: Vec<Option<Dropped>>,
 }
 
@@ -119,48 +122,60 @@ impl Elimination {
             guarantee,
             schedule,
             boundary,
+            top: 1,
             at: 0,
             pairs: vec![Vec::new(); policies * (policies - 1) / 2],
             claims: vec![[Claim::default(); 2]; policies * (policies - 1) / 2],
-            rates: vec![(0, 0); policies],
+            trials: vec![[0; 3]; policies],
             dropped: vec![None; policies],
         })
     }
 
-    /// Adds the blocks since the last look, and eliminates policies. A block has an outcome for each policy: `None` if it did not run
-    /// or if its trial is invalid. Outcomes of eliminated policies are ignored. Returns the policies that leave now.
+    /// The same contest with ordered scores from 0 to `top`, of which `top` is a success. A policy wins a block with the higher score: the
+    /// test compares how often each policy gets further than the other one. Call it before the first look.
+    #[must_use]
+    pub fn with_top(self, top: u32) -> Self {
+        Self { top: top.max(1), ..self }
+    }
+
+    /// Adds the blocks since the last look, and eliminates policies. A block has an outcome for each policy, which is a success or a
+    /// score: `None` if it did not run or if its trial is invalid. Outcomes of eliminated policies are ignored. Returns the policies that
+    /// leave now.
     ///
-    /// An invalid trial counts against each elimination: as a success of the policy that would leave, and as a failure of the other
+    /// An invalid trial counts against each elimination: as a success of the policy that would leave, and as the lowest score of the other
     /// one. Rates and differences leave it out.
     ///
     /// # Errors
     /// A block with another number of outcomes. Nothing is added then.
-    pub fn look(&mut self, blocks: &[Vec<Option<bool>>]) -> Result<Vec<Dropped>, ContestError> {
-        let expected = self.rates.len();
+    pub fn look<S: Into<u32> + Copy>(&mut self, blocks: &[Vec<Option<S>>]) -> Result<Vec<Dropped>, ContestError> {
+        let expected = self.trials.len();
         if let Some(block) = blocks.iter().find(|block| block.len() != expected) {
             return Err(ContestError::Outcomes { expected, found: block.len() });
         }
         self.at += 1;
+        let top = self.top;
+        let score = |block: &Vec<Option<S>>, policy: usize| block[policy].map(|score| score.into().min(top));
         let left = self.best_set();
         for &i in &left {
-            let valid = blocks.iter().filter_map(|block| block[i]);
-            for success in valid {
-                self.rates[i].0 += u64::from(success);
-                self.rates[i].1 += 1;
+            for score in blocks.iter().filter_map(|block| score(block, i)) {
+                let [n, successes, sum] = &mut self.trials[i];
+                *n += 1;
+                *successes += u64::from(score == top);
+                *sum += u64::from(score);
             }
             for &j in left.iter().filter(|j| **j > i) {
                 let looks = &mut self.pairs[place(i, j)];
                 let mut won = looks.last().copied().unwrap_or_default();
-                for (first, second) in blocks.iter().filter_map(|block| block[i].zip(block[j])) {
-                    won.first += u64::from(first && !second);
-                    won.second += u64::from(second && !first);
+                for (first, second) in blocks.iter().filter_map(|block| score(block, i).zip(score(block, j))) {
+                    won.first += u64::from(first > second);
+                    won.second += u64::from(second > first);
                     won.blocks += 1;
                 }
                 looks.push(won);
                 let [forth, back] = &mut self.claims[place(i, j)];
                 for block in blocks {
-                    forth.add(block[i], block[j]);
-                    back.add(block[j], block[i]);
+                    forth.add(score(block, i), score(block, j), top);
+                    back.add(score(block, j), score(block, i), top);
                 }
             }
         }
@@ -215,10 +230,17 @@ impl Elimination {
 
     /// The valid trials of a policy.
     pub fn trials(&self, policy: usize) -> Trials {
-        self.rates.get(policy).and_then(|(k, n)| Trials::new(*k, *n).ok()).unwrap_or(Trials::NONE)
+        self.trials.get(policy).and_then(|[n, k, _]| Trials::new(*k, *n).ok()).unwrap_or(Trials::NONE)
     }
 
-    /// The differences of all pairs, on the blocks that are valid for both. At this confidence, all intervals hold simultaneously,
+    /// The mean score of a policy as a part of that of a success. `None` without a valid trial.
+    pub fn mean_score(&self, policy: usize) -> Option<f64> {
+        let [n, _, sum] = self.trials.get(policy)?;
+        (*n > 0).then(|| *sum as f64 / (*n as f64 * f64::from(self.top)))
+    }
+
+    /// The differences of all pairs, on the blocks that are valid for both: the part of them that the first policy won minus the part that
+    /// the second one won. At this confidence, all intervals hold simultaneously,
     /// after any number of looks. They are wider than the test of the elimination, which uses the known number of looks.
     pub fn table(&self, confidence: Confidence) -> Vec<PairInterval> {
         let shared = confidence.shared_by(self.pairs.len());
@@ -230,7 +252,7 @@ impl Elimination {
             let interval = Interval { low, high };
             PairInterval { first, second, blocks: won.blocks, difference: difference_of, interval }
         };
-        let n = self.rates.len();
+        let n = self.trials.len();
         (0..n).flat_map(|i| (i + 1..n).map(move |j| (i, j))).map(|(i, j)| pair(i, j)).collect()
     }
 
@@ -240,7 +262,7 @@ impl Elimination {
     /// # Errors
     /// Another number of rates than policies.
     pub fn expected(&self, rates: &[f64], shared: f64, runs: u64, seed: u64) -> Result<ExpectedContest, ContestError> {
-        let n = self.rates.len();
+        let n = self.trials.len();
         if rates.len() != n {
             return Err(ContestError::Outcomes { expected: n, found: rates.len() });
         }
@@ -297,12 +319,13 @@ impl Elimination {
 
     /// The same plan without blocks.
     fn afresh(&self) -> Self {
-        let n = self.rates.len();
+        let n = self.trials.len();
         Self {
+            top: 1,
             at: 0,
             pairs: vec![Vec::new(); self.pairs.len()],
             claims: vec![[Claim::default(); 2]; self.claims.len()],
-            rates: vec![(0, 0); n],
+            trials: vec![[0; 3]; n],
             dropped: vec![None; n],
             ..self.clone()
         }
@@ -407,5 +430,60 @@ mod tests {
         assert_eq!(of(1, 5), Err(ContestError::Policies(1)));
         assert_eq!(of(2, 0), Err(ContestError::Blocks(0)));
         assert!(of(2, u64::MAX).is_err());
+    }
+
+    /// Scores of 0 to 3, of which 3 is a success, from a draw and the probability that a policy stops at each stage.
+    fn scored(random: &mut ChaCha8Rng, stop: f64, success: f64) -> u32 {
+        if uniform(random) < success {
+            return 3;
+        }
+        (0..2).take_while(|_| uniform(random) >= stop).count() as u32
+    }
+
+    #[test]
+    fn further_policy_wins_although_none_succeeds_more_often() {
+        let contest = || {
+            Elimination::new(2, Schedule { per_look: 10, looks: 6 }, Guarantee::BestStays, 0.05).unwrap().with_top(3)
+        };
+        let random = &mut ChaCha8Rng::seed_from_u64(5);
+        // Both succeed in 5 %. The first one stops at each stage with a probability of 20 %, the second one with 70 %.
+        let mut further = [0, 0];
+        for _ in 0..200 {
+            let mut by_stage = contest();
+            while !by_stage.is_over() {
+                let block = |_| vec![Some(scored(random, 0.2, 0.05)), Some(scored(random, 0.7, 0.05))];
+                by_stage.look(&(0..10).map(block).collect::<Vec<_>>()).unwrap();
+            }
+            let best = by_stage.best_set();
+            further[0] += u64::from(best == [0]);
+            further[1] += u64::from(best == [1]);
+            let [one, two] = [0, 1].map(|of| by_stage.mean_score(of).unwrap());
+            assert!(one > two && by_stage.trials(0).n() % 10 == 0);
+        }
+        assert!(further[0] >= 195 && further[1] == 0, "{further:?}");
+        // Equal policies: either leaves in at most 10 % together, each in 5 %.
+        let mut left = 0;
+        for _ in 0..400 {
+            let mut equal = contest();
+            while !equal.is_over() {
+                let block = |_| vec![Some(scored(random, 0.5, 0.1)), Some(scored(random, 0.5, 0.1))];
+                equal.look(&(0..10).map(block).collect::<Vec<_>>()).unwrap();
+            }
+            left += u64::from(equal.best_set().len() == 1);
+        }
+        assert!(left <= 55, "{left} of 400");
+    }
+
+    #[test]
+    fn invalid_trials_have_the_worst_score_for_a_claim() {
+        let mut contest =
+            Elimination::new(2, Schedule { per_look: 4, looks: 6 }, Guarantee::BestStays, 0.05).unwrap().with_top(3);
+        let round = [vec![Some(2_u32), None], vec![None, Some(1)], vec![Some(3), None], vec![Some(2), Some(1)]];
+        contest.look(&round).unwrap();
+        // For "the first is better" the second has the top score in the first block, and the first has none in the second one.
+        assert_eq!(contest.claim(0, 1), Claim { won: 1, lost: 2 });
+        assert_eq!(contest.claim(1, 0), Claim { won: 0, lost: 4 });
+        assert_eq!(contest.mean_score(0), Some(7.0 / 9.0));
+        assert_eq!((contest.trials(0).n(), contest.trials(0).successes()), (3, 1));
     }
 }

@@ -9,9 +9,9 @@ use crate::interval::Interval;
 /// The blocks that each of two policies won, among all blocks of both so far.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(super) struct Won {
-    /// Only the first policy succeeded.
+    /// The first policy got further.
     pub(super) first: u64,
-    /// Only the second policy succeeded.
+    /// The second policy got further.
     pub(super) second: u64,
     /// All blocks.
     pub(super) blocks: u64,
@@ -24,7 +24,7 @@ impl Won {
     }
 }
 
-/// The difference of the success rates of two policies.
+/// The difference of two policies: of their success rates, or of how often each got further than the other.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PairInterval {
     /// Position of the first policy.

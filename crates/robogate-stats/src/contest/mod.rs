@@ -28,6 +28,9 @@
 //! **Invalid trials.** In [`Elimination`], an invalid trial counts in the worst case for the policy that would be shown to be better:
 //! the error holds for any reason of invalid trials. A [`Duel`] gets complete blocks only.
 //!
+//! **Scores.** Ordered outcomes, such as stages of which success is the last, are tested in the same way: a block has a winner if one of
+//! the policies gets further, and d is the probability of that. This is a sign test; it needs no distance between the stages.
+//!
 //! If every look has the same scenarios, the tested difference is the mean over them. Scenarios whose differences have opposite signs
 //! then only reduce the variance of b - a.
 //!

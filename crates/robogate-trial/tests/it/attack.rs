@@ -14,7 +14,8 @@ fn wins(judge: &Judge, arms: usize, blocks: usize, rate: f64, share: f64, studie
         let mut results: Vec<BlockResults> = Vec::new();
         let mut dropped = vec![false; arms];
         while results.len() < blocks {
-            let mut block = BlockResults { success: vec![None; arms], repeated: vec![0; arms] };
+            let mut block =
+                BlockResults { success: vec![None; arms], repeated: vec![0; arms], first: vec![None; arms] };
             for arm in (0..arms).filter(|arm| !dropped[*arm]) {
                 let run = |stream: &mut Stream| stream.uniform() < rate;
                 let mut success = run(stream);
@@ -61,7 +62,7 @@ fn attack_works_without_the_rule() {
         for _ in 0..60 {
             let lucky = 0.7 / (1.0 - 0.3 * 0.8);
             let success = vec![Some(stream.uniform() < lucky), Some(stream.uniform() < 0.7)];
-            results.push(BlockResults { success, repeated: vec![0; 2] });
+            results.push(BlockResults { success, repeated: vec![0; 2], first: vec![None; 2] });
             let decision = judge.decision(&results);
             if decision.is_final() {
                 wins += u64::from(decision.answer == Verdict::Best(0));
@@ -85,7 +86,7 @@ fn best_of_four_is_found() {
             let mut run = |arm: usize| (!dropped[arm]).then(|| stream.uniform() < rates[arm]);
             let success: Vec<Option<bool>> = (0..4).map(&mut run).collect();
             trials += success.iter().flatten().count();
-            results.push(BlockResults { success, repeated: vec![0; 4] });
+            results.push(BlockResults { success, repeated: vec![0; 4], first: vec![None; 4] });
             let decision = judge.decision(&results);
             dropped = decision.dropped.clone();
             if decision.is_final() {

@@ -124,6 +124,50 @@ fn hanging_servers_are_faults() {
     assert!(Switch::start(any(), vec![silent], settings, |_| {}).is_err(), "found at the start");
 }
 
+/// A server that dies in a trial is no failure of its policy. One that ends a connection after each reply is not dead.
+#[test]
+fn servers_that_go_away_are_faults() {
+    let (sender, receiver) = channel();
+    let report = move |fault| {
+        let _ = sender.send(fault);
+    };
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let switch = Switch::start(any(), vec![listener.local_addr().unwrap()], SwitchSettings::default(), report).unwrap();
+    // The connections that measure the distance come first.
+    let next = |listener: &TcpListener| loop {
+        let (mut server, _) = listener.accept().unwrap();
+        let mut byte = [0];
+        if server.read(&mut byte).is_ok_and(|n| n == 1) {
+            return server;
+        }
+    };
+    let ask = |code: &str| {
+        switch.open(code, 0);
+        let mut robot = TcpStream::connect(switch.address()).unwrap();
+        robot.write_all(b"?").unwrap();
+        robot
+    };
+    let _robot = ask("OWES");
+    drop(next(&listener));
+    let fault = receiver.recv_timeout(Duration::from_secs(30)).unwrap();
+    assert!(fault.code == "OWES" && fault.reason.contains("owed a reply"), "{fault:?}");
+    let mut robot = ask("ENDS");
+    let mut server = next(&listener);
+    server.write_all(b"!").unwrap();
+    drop(server);
+    let mut replies = Vec::new();
+    robot.read_to_end(&mut replies).unwrap();
+    assert_eq!((replies.as_slice(), receiver.recv_timeout(Duration::from_millis(300)).ok()), (&b"!"[..], None));
+    let mut robot = ask("DIES");
+    let mut server = next(&listener);
+    server.write_all(b"!").unwrap();
+    robot.read_exact(&mut [0]).unwrap();
+    drop(listener);
+    drop(server);
+    let fault = receiver.recv_timeout(Duration::from_secs(30)).unwrap();
+    assert!(fault.code == "DIES" && fault.reason.contains("accepts no other one"), "{fault:?}");
+}
+
 /// A robot that goes on sending does not hide a server that hangs.
 #[test]
 fn sending_does_not_extend_the_limit() {

@@ -9,14 +9,15 @@ use clap::Args;
 use robogate_core::budget::Budget;
 use robogate_dictionary::{hex, read_text};
 use robogate_gate::evidence::{MANIFEST, Manifest};
-use robogate_policy::{Admission, ExternalPolicy, Fingerprint, PolicyError, Profile, admit};
-use robogate_session::{FINGERPRINT, policy_error, profile, read_fingerprint};
+use robogate_policy::{Admission, Checkpoint, ExternalPolicy, Fingerprint, PolicyError, Profile, admit};
+use robogate_session::{CHECKPOINT, FINGERPRINT, checkpoint, policy_error, profile, read_checkpoint, read_fingerprint};
 use robogate_stats::format::{counted, number};
 use serde::Serialize;
 use sha2::{Digest, Sha256};
 
 use crate::arguments::AccessArguments;
 use crate::exit::{DONE, Exit, FAIL, INVALID, OrExit};
+use crate::number;
 use crate::terminal::{bold, foreign, line, note};
 
 /// Check that a deployed policy is the one that was judged: ask it the same, and compare its answers.
@@ -25,20 +26,26 @@ use crate::terminal::{bold, foreign, line, note};
 /// policy gets the same requests. If its answers differ, the command tries the usual mistakes (mirrored images, exchanged cameras,
 /// units, signs, order, normalisers, chunk length) and names those that explain the difference.
 ///
+/// With `gate --checkpoint`, and for policies that the environment's process loads, a gate also records the files of the checkpoint:
+/// settings, tensors, code. `--checkpoint` compares those of the cell, and loads none of them.
+///
 /// Exit codes: 0 if the policy is admitted, 1 if not, 4 if the fingerprint is not that of its evidence, 5 if the policy does not answer.
 #[derive(Debug, Args)]
 pub(crate) struct Admit {
     /// Folder of the gate or of its evidence, or a fingerprint file
     fingerprint: PathBuf,
     /// The deployed policy: the address of its server, or an ONNX file
-    #[arg(long, value_name = "POLICY")]
-    policy: String,
+    #[arg(long, value_name = "POLICY", required_unless_present = "checkpoint")]
+    policy: Option<String>,
+    /// The folder or file of the deployed checkpoint, compared file by file with the one that the gate recorded
+    #[arg(long, value_name = "PATH")]
+    checkpoint: Option<PathBuf>,
     /// How the cell sends observations and reads actions: a built-in profile or a TOML file. Differences from the judged profile are
     /// refused; default: the judged profile
-    #[arg(long, value_name = "PROFILE")]
+    #[arg(long, value_name = "PROFILE", requires = "policy")]
     profile: Option<String>,
     /// Control periods of the cell per second; another number than that of the judged task is refused; default: not checked
-    #[arg(long, value_name = "HZ")]
+    #[arg(long, value_name = "HZ", requires = "policy", value_parser = number::positive)]
     rate: Option<f64>,
     #[command(flatten)]
     access: AccessArguments,
@@ -52,14 +59,30 @@ pub(crate) struct Admit {
 struct Document<'a> {
     format: u32,
     admitted: bool,
-    policy: &'a str,
-    fingerprint_sha256: String,
-    requests: usize,
+    /// The deployed policy. Absent without a running one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    policy: Option<&'a str>,
+    /// SHA-256 (hex) of the fingerprint, by which evidence recognises the result. Absent without a running policy.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    fingerprint_sha256: Option<String>,
+    /// The same of the recorded files of the checkpoint. Absent without --checkpoint.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    checkpoint_sha256: Option<String>,
+    /// The requests that were compared. Absent without a running policy, as are the three fields below.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    requests: Option<usize>,
     #[serde(skip_serializing_if = "Option::is_none")]
     largest_difference: Option<f64>,
-    tolerance: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    tolerance: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     p_value: Option<f64>,
+    /// The files of the checkpoint that were compared. Absent without --checkpoint.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    files: Option<usize>,
+    /// The tensors in them.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    tensors: Option<usize>,
     differences: &'a [String],
 }
 
@@ -70,36 +93,59 @@ impl Admit {
             line(format_args!("{}", bold(format_args!("INVALID: {why}"))));
             return Ok(INVALID);
         }
-        let judged = read_fingerprint(&self.fingerprint)?;
-        let admission = self.compare(&judged)?;
+        // Files first: they need no server.
+        let files = self.checkpoint.as_deref().map(|path| self.files(path)).transpose()?;
+        let asked = match &self.policy {
+            Some(policy) => Some(self.compare(policy, &read_fingerprint(&self.fingerprint)?, files.as_ref())?),
+            None => None,
+        };
+        let answers = asked.iter().flat_map(|admission| &admission.differences);
+        let differences: Vec<String> =
+            files.iter().flat_map(|files| &files.differences).chain(answers).cloned().collect();
         if self.json {
             let document = Document {
                 format: 1,
-                admitted: admission.is_admitted(),
-                policy: &self.policy,
-                fingerprint_sha256: self.fingerprint_sha256()?,
-                requests: admission.requests,
-                largest_difference: admission.largest.filter(|largest| largest.is_finite()),
-                tolerance: admission.tolerance,
-                p_value: admission.p_value,
-                differences: &admission.differences,
+                admitted: differences.is_empty(),
+                policy: self.policy.as_deref(),
+                fingerprint_sha256: asked.as_ref().map(|_| self.sha256_of(FINGERPRINT)).transpose()?,
+                checkpoint_sha256: files.as_ref().map(|_| self.sha256_of(CHECKPOINT)).transpose()?,
+                requests: asked.as_ref().map(|admission| admission.requests),
+                largest_difference: asked.as_ref().and_then(|of| of.largest).filter(|largest| largest.is_finite()),
+                tolerance: asked.as_ref().map(|admission| admission.tolerance),
+                p_value: asked.as_ref().and_then(|admission| admission.p_value),
+                files: files.as_ref().map(|files| files.recorded.size().0),
+                tensors: files.as_ref().map(|files| files.recorded.size().1),
+                differences: &differences,
             };
             line(serde_json::to_string_pretty(&document).or_broken()?);
         } else {
-            self.print(&admission);
+            self.print(asked.as_ref(), files.as_ref(), &differences);
         }
-        Ok(if admission.is_admitted() { DONE } else { FAIL })
+        Ok(if differences.is_empty() { DONE } else { FAIL })
     }
 
-    /// SHA-256 (hex) of the file, by which evidence recognises the result.
-    fn fingerprint_sha256(&self) -> Result<String, Exit> {
+    /// SHA-256 (hex) of a file of the judged policy.
+    fn sha256_of(&self, name: &str) -> Result<String, Exit> {
         let path = &self.fingerprint;
-        let file = if path.is_dir() { path.join(FINGERPRINT) } else { path.clone() };
+        let file = if path.is_dir() { path.join(name) } else { path.clone() };
         let bytes = fs::read(&file).with_context(|| format!("cannot read {}", file.display())).or_usage()?;
         Ok(hex(&Sha256::digest(&bytes)))
     }
 
-    fn compare(&self, judged: &Fingerprint) -> Result<Admission, Exit> {
+    /// Compares the files of the deployed checkpoint with those that the gate recorded.
+    fn files(&self, deployed: &Path) -> Result<Files, Exit> {
+        let Some(recorded) = read_checkpoint(&self.fingerprint)? else {
+            return Err(anyhow!(
+                "{}: it has no {CHECKPOINT}\nHint: `robogate gate --checkpoint PATH` records the files of a policy; run the gate again",
+                self.fingerprint.display()
+            ))
+            .or_usage();
+        };
+        let differences = recorded.differences(&checkpoint(deployed)?);
+        Ok(Files { recorded, differences })
+    }
+
+    fn compare(&self, policy: &str, judged: &Fingerprint, files: Option<&Files>) -> Result<Admission, Exit> {
         let mut differences = Vec::new();
         let deployed = self.profile.as_deref().map(profile).transpose().or_usage()?;
         if let Some(deployed) = &deployed {
@@ -113,7 +159,7 @@ impl Admit {
             "{} of {}, to {}",
             counted(judged.probes.len() as u64, "request"),
             foreign(&judged.profile.name),
-            foreign(&self.policy)
+            foreign(policy)
         ));
         // The judged requests are sent as the judged profile says; another profile of the cell is a difference of its own.
         let refused = |why: String| Admission {
@@ -124,8 +170,10 @@ impl Admit {
             differences: vec![why],
         };
         let (profile, access) = (Arc::new(judged.profile.clone()), self.access.choice().access()?);
-        let asked = ExternalPolicy::connect_with(&self.policy, profile, access, &mut |_| {})
-            .and_then(|mut policy| admit(judged, &mut policy));
+        let asked = ExternalPolicy::connect_with(policy, profile, access, &mut |_| {}).and_then(|mut policy| {
+            differences.extend(files.iter().flat_map(|files| files.recorded.contradictions(policy.declared())));
+            admit(judged, &mut policy)
+        });
         let mut admission = match asked {
             Ok(admission) => admission,
             Err(error) if is_answer(&error) => refused(error.to_string()),
@@ -135,15 +183,37 @@ impl Admit {
         Ok(admission)
     }
 
-    fn print(&self, admission: &Admission) {
-        let policy = foreign(&self.policy).to_string();
-        let Admission { requests, largest, tolerance, p_value, differences } = admission;
+    fn print(&self, asked: Option<&Admission>, files: Option<&Files>, differences: &[String]) {
+        let deployed = match (&self.policy, &self.checkpoint) {
+            (Some(policy), _) => foreign(policy).to_string(),
+            (None, path) => path.as_ref().map_or_else(String::new, |path| path.display().to_string()),
+        };
         if !differences.is_empty() {
-            line(bold(format_args!("NOT ADMITTED: {policy} does not answer as the judged policy")));
+            line(bold(format_args!("NOT ADMITTED: {deployed}")));
             differences.iter().for_each(|difference| line(format_args!("  {}", foreign(difference))));
             return;
         }
-        line(bold(format_args!("ADMITTED: {policy} answers as the judged policy")));
+        line(bold(format_args!(
+            "ADMITTED: {deployed} {}",
+            match asked {
+                Some(_) => "answers as the judged policy",
+                None => "has the files of the judged policy",
+            }
+        )));
+        if let Some(files) = files {
+            let (files, tensors) = files.recorded.size();
+            line(format_args!(
+                "  {} of the checkpoint and {} agree",
+                counted(files as u64, "file"),
+                counted(tensors as u64, "tensor")
+            ));
+        }
+        let Some(Admission { requests, largest, tolerance, p_value, .. }) = asked else {
+            note(
+                "Not checked here: the running policy. --policy asks it, if the gate has a fingerprint of its answers.",
+            );
+            return;
+        };
         let of = counted(*requests as u64, "request");
         match (largest, p_value) {
             (Some(largest), _) => line(format_args!(
@@ -159,6 +229,12 @@ impl Admit {
     }
 }
 
+/// The files of the judged checkpoint, and how those of the deployed one differ.
+struct Files {
+    recorded: Checkpoint,
+    differences: Vec<String>,
+}
+
 /// Whether an error is an answer of the policy that no judged policy gives, and not a fault of the connection.
 fn is_answer(error: &PolicyError) -> bool {
     matches!(
@@ -167,7 +243,8 @@ fn is_answer(error: &PolicyError) -> bool {
     )
 }
 
-/// Why the fingerprint in a folder of evidence is not the one that its manifest lists. `None` outside of evidence.
+/// Why the fingerprint or the record of the checkpoint in a folder of evidence is not the one that its manifest lists. `None` outside of
+/// evidence.
 fn not_of_its_evidence(folder: &Path) -> Result<Option<String>, Exit> {
     let manifest = folder.join(MANIFEST);
     if !folder.is_dir() || !manifest.exists() {
@@ -177,14 +254,19 @@ fn not_of_its_evidence(folder: &Path) -> Result<Option<String>, Exit> {
     let read = Budget::FILE.json::<Manifest>(text.as_bytes());
     let manifest =
         read.map_err(|why| anyhow!("{}: not a manifest of evidence: {why}", manifest.display())).or_usage()?;
-    let bytes = fs::read(folder.join(FINGERPRINT)).with_context(|| format!("cannot read {FINGERPRINT}")).or_usage()?;
-    let listed = manifest.files.iter().find(|file| file.path == FINGERPRINT);
-    let found = hex(&Sha256::digest(&bytes));
-    if listed.is_some_and(|file| file.sha256 == found) {
-        note("`robogate verify` checks the signature of the evidence");
-        return Ok(None);
+    for name in [FINGERPRINT, CHECKPOINT] {
+        let path = folder.join(name);
+        if !path.exists() {
+            continue;
+        }
+        let bytes = fs::read(&path).with_context(|| format!("cannot read {name}")).or_usage()?;
+        let listed = manifest.files.iter().find(|file| file.path == name);
+        if listed.is_none_or(|file| file.sha256 != hex(&Sha256::digest(&bytes))) {
+            return Ok(Some(format!("{name} is not the file that the manifest of the evidence lists")));
+        }
     }
-    Ok(Some(format!("{FINGERPRINT} is not the file that the manifest of the evidence lists")))
+    note("`robogate verify` checks the signature of the evidence");
+    Ok(None)
 }
 
 /// The fields in which the profile of a cell differs from the judged one.

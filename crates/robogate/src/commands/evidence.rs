@@ -16,7 +16,7 @@ use crate::exit::{Exit, OrExit};
 use crate::place;
 use crate::terminal::{foreign, line, note};
 use robogate_session::{
-    ENVIRONMENT, FINGERPRINT, POLICY, built_in_baseline, open_source, recorded_robot, register_copy,
+    CHECKPOINT, ENVIRONMENT, FINGERPRINT, POLICY, built_in_baseline, open_source, recorded_robot, register_copy,
 };
 
 /// Judge a run and write a folder with everything that the verdict depends on, so that others can check it.
@@ -107,6 +107,7 @@ impl Evidence {
             (Role::Registration, REGISTRATION_KEY),
             (Role::Attachment, LostEpisode::FILE),
             (Role::Fingerprint, FINGERPRINT),
+            (Role::Fingerprint, CHECKPOINT),
             (Role::Repeats, REPEATED),
         ];
         for (role, name) in files {

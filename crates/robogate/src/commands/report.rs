@@ -8,7 +8,9 @@ use robogate_analysis::{Analysis, AnalysisOptions, DEFAULT_TARGET, HERE, Source,
 use robogate_dictionary::files;
 use robogate_gate::evidence::MANIFEST;
 use robogate_gate::{Evaluation, Sampling};
-use robogate_report::{Additions, Change, Watch, analysis_json_with, html_with, markdown_with, required_success};
+use robogate_report::{
+    Additions, Again, Change, Watch, analysis_json_with, html_with, markdown_with, required_success,
+};
 
 use crate::active_model;
 use crate::arguments::ReopeningArguments;
@@ -201,7 +203,10 @@ fn changes_of(
     evaluation: Option<&Evaluation>,
     watch: Option<&Watch>,
 ) -> Vec<Change> {
-    evaluation.map_or_else(Vec::new, |evaluation| changes::of(source, analysis, evaluation, shown(watch), HERE))
+    evaluation.map_or_else(Vec::new, |evaluation| {
+        let again = Again::of(analysis);
+        changes::of(source, analysis, evaluation, shown(watch), HERE, &again)
+    })
 }
 
 /// The verdict of the gate that a run belongs to. A problem is a note, because the analysis does not depend on it.

@@ -40,6 +40,9 @@ impl Resume {
             ))
             .or_usage();
         }
+        if let Some(asked) = &asked {
+            asked.check(&settings.provenance)?;
+        }
         let subject = Subject::recorded(&settings.provenance, Some(&self.dir), &opening)?;
         if let Some(asked) = asked {
             return gate::resume(&self.dir, asked, &subject, settings, &opening, &self.how);

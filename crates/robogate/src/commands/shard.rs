@@ -223,7 +223,7 @@ pub(crate) fn merge(
         }
     }
     match campaign.question(out) {
-        Some((asked, other)) => gate::finish(out, asked, other, completion, None, json),
+        Some((asked, other)) => gate::finish(out, asked, other, completion, None, None, json),
         None => conclude(out, &completion, None, json),
     }
 }

@@ -33,6 +33,10 @@ pub(crate) struct TransferTo {
     /// Name columns of trials that may share effects, such as operator,day; default: those whose names say so
     #[arg(long, value_name = "A,B,...", value_delimiter = ',')]
     groups: Vec<String>,
+    /// Name the simulated policy as the column `policy` of the trials does; default: its name in the simulation. Trials of another
+    /// policy are refused
+    #[arg(long, value_name = "NAME")]
+    policy: Option<String>,
     /// Print one versioned JSON document
     #[arg(long)]
     json: bool,
@@ -48,7 +52,11 @@ impl TransferTo {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
         self.check_files()?;
         let source = open_source(&self.sim)?;
-        let options = TransferOptions { groups: self.groups.clone(), population: self.population.clone() };
+        let options = TransferOptions {
+            groups: self.groups.clone(),
+            policy: self.policy.clone(),
+            population: self.population.clone(),
+        };
         let mut view = TransferView::new();
         let transfer =
             Transfer::watched(&source, &self.sim, &self.real, &options, &mut |step| view.hear(step)).or_usage()?;

@@ -3,12 +3,16 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use robogate_campaign::built_in_suite;
+use robogate_dictionary::suite_sha256;
+use robogate_gate::Population;
 use robogate_gate::evidence::{
     Problem, PublicKey, QuestionBinding, REGISTRATION, Registered, Signed, Verified, verify,
 };
 use robogate_stats::format::counted;
 use serde::Serialize;
 
+use crate::answer::value;
 use crate::arguments::ReopeningArguments;
 use crate::compliance;
 use crate::exit::{DONE, Exit, INVALID, OrExit};
@@ -207,10 +211,38 @@ fn trust(verified: &Verified) -> String {
     }
 }
 
+/// What was asked: the scenarios, the limits and the figures. A verdict without them says nothing.
+fn asked(verified: &Verified) {
+    line(format_args!("  judged on {}{}", foreign(&verified.population), known(&verified.population)));
+    for of in &verified.requirements {
+        let figure =
+            of.figure.observed.map_or_else(|| "no figure".to_owned(), |found| value(of.requirement.metric, found));
+        line(format_args!(
+            "  {} {} {}: {figure}, {}",
+            foreign(&of.id),
+            of.bound.sense,
+            value(of.requirement.metric, of.bound.limit),
+            of.status.as_str()
+        ));
+    }
+    verified.remarks.iter().for_each(|remark| line(format_args!("  {}", foreign(remark))));
+}
+
+/// Whether a suite with the name of a built-in one is another one.
+fn known(population: &Population) -> &'static str {
+    let Population::Suite { name, sha256, .. } = population else { return "" };
+    let own = name.split(' ').next().and_then(built_in_suite).and_then(Result::ok);
+    match own {
+        Some(own) if suite_sha256(&own) != *sha256 => ", which is NOT the built-in suite of this name",
+        _ => "",
+    }
+}
+
 fn tell(verified: &Verified) {
     let Verified { because, counts, policy, robot, files, signed, .. } = verified;
     line(bold(foreign(headline(verified))));
     line(format_args!("  {}", foreign(because)));
+    asked(verified);
     line(format_args!(
         "  {} of {} on {}, {} of them invalid; verdict recomputed from the rows",
         counted(counts.episodes, "episode"),
@@ -233,8 +265,8 @@ fn tell(verified: &Verified) {
         }
         Some(Registered { number, keyid }) => format!(
             "  registered before its first episode, as number {number} of key {keyid}\nHint: request the evidence of \
-             registrations 1 to {}: they may be earlier attempts",
-            number - 1
+             {}: earlier attempts may be among them",
+            if *number == 2 { "registration 1".to_owned() } else { format!("registrations 1 to {}", number - 1) }
         ),
     });
     line(match signed {

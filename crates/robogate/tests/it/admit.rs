@@ -21,10 +21,12 @@ fn judged_policy_is_admitted_and_others_are_not() {
     let requirements =
         "name = \"half\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"success\"\nat_least = 0.2\n";
     fs::write(at.join("half.toml"), requirements).unwrap();
+    fs::create_dir(at.join("act")).unwrap();
+    fs::write(at.join("act/config.json"), r#"{"n_action_steps": 50, "device": "cuda"}"#).unwrap();
     let (judged, other) = (network("learned.onnx"), network("learned-wide.onnx"));
     for threads in [1, 2] {
         let line = format!(
-            "gate --policy {judged} --profile learned --suite two.toml --requirements half.toml --rounds 6 --controls 0 --threads {threads} --out g{threads}"
+            "gate --policy {judged} --profile learned --suite two.toml --requirements half.toml --rounds 6 --controls 0 --threads {threads} --checkpoint act --out g{threads}"
         );
         let output = robogate_in(at, &line.split(' ').collect::<Vec<_>>());
         assert!(at.join(format!("g{threads}/fingerprint.msgpack")).is_file(), "{}", text(&output));
@@ -77,10 +79,21 @@ fn judged_policy_is_admitted_and_others_are_not() {
         &["about something else: `fingerprint_sha256` is"],
     );
 
+    // The files of the checkpoint, alone and beside the running policy.
+    let (same, files) =
+        ("admit g1 --checkpoint act", ["has the files of the judged policy", "1 file of the checkpoint"]);
+    verb(at, same, 0, &files);
+    verb(at, &format!("{same} --policy {judged}"), 0, &["answers as the judged policy", files[1]]);
+    fs::write(at.join("act/config.json"), r#"{"n_action_steps": 10, "device": "cpu"}"#).unwrap();
+    let cause = "chunk length: config.json has n_action_steps = 10 in place of 50";
+    verb(at, same, 1, &["NOT ADMITTED: act", cause]);
+    verb(at, &format!("{same} --policy {judged}"), 1, &[cause]);
+
     // Evidence contains the fingerprint, and one of another gate is not that of this evidence.
     let output = robogate_in(at, &["evidence", "g1", "evidence"]);
     assert!(at.join("evidence/fingerprint.msgpack").is_file(), "{}", text(&output));
     verb(at, &format!("admit evidence --policy {judged}"), 0, &["ADMITTED"]);
+    verb(at, "admit evidence --checkpoint act", 1, &[cause]);
     let mut changed = bytes("g1");
     *changed.last_mut().unwrap() ^= 1;
     fs::write(at.join("evidence/fingerprint.msgpack"), changed).unwrap();
@@ -93,6 +106,8 @@ fn folders_without_fingerprint_are_refused() {
     let at = dir.path();
     verb(at, "run --task pendulum -n 4 --design uniform --out r", 0, &[]);
     verb(at, "admit r --policy ws://127.0.0.1:1", 2, &["no fingerprint.msgpack", "Hint:"]);
+    verb(at, "admit r --checkpoint .", 2, &["no checkpoint.json", "gate --checkpoint PATH"]);
+    verb(at, "admit r", 2, &["--policy"]);
     fs::write(at.join("text"), "not a fingerprint").unwrap();
     verb(at, "admit text --policy ws://127.0.0.1:1", 2, &["fingerprint"]);
     verb(at, "admit /dev/zero --policy ws://127.0.0.1:1", 2, &["not a file of at most 64 MiB"]);

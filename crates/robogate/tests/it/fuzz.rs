@@ -186,7 +186,7 @@ fn fuzzed_trials_are_read_or_refused() {
         &["\"", ",", ";", "\n", "nan", "inf", "1e400", "-1", "success", "failure_mode", "\u{feff}"],
         |text| {
             fs::write(&path, text).unwrap();
-            RealTrials::open(&path, &space, &[]).is_ok()
+            RealTrials::open(&path, &space, &[], "scripted").is_ok()
         },
     );
 }

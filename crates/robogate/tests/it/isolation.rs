@@ -130,6 +130,7 @@ said = [
     tries(lambda: os.chmod(key, 0o777)),
     tries(lambda: os.listdir(os.path.dirname(key))),
     tries(lambda: os.kill(os.getppid(), 0)),
+    tries(lambda: open("/proc/%d/environ" % os.getppid()).read()),
 ]
 library = ctypes.CDLL(None, use_errno=True)
 said += [
@@ -139,6 +140,8 @@ said += [
     library.fork(),
     library.chmod(key.encode(), 0o777),
     library.syscall(425, 8, 0),
+    library.shmget(0, 4096, 0o600),
+    library.setpriority(0, os.getppid(), 19),
 ]
 tempfile.TemporaryFile().write(b"x")
 print("SAID", said, os.environ.get("SECRET_TOKEN"), file=sys.stderr)
@@ -149,7 +152,7 @@ raise RuntimeError("the end of the attempts")
     );
     fs::write(bench.at("world/attempts.py"), attempts + ENVIRONMENT).unwrap();
     let refused = "'PermissionError'";
-    let said = format!("SAID [{}, -1, -1, -1, -1, -1, -1] None", [refused; 7].join(", "));
+    let said = format!("SAID [{}, -1, -1, -1, -1, -1, -1, -1, -1] None", [refused; 8].join(", "));
     let line = format!("run --env world/attempts.py:environment --python {} -n 1 --out run", bench.python.display());
     let told = [
         format!("refused to read {}", key.display()),
@@ -164,6 +167,7 @@ raise RuntimeError("the end of the attempts")
     let told: Vec<&str> = told.iter().map(String::as_str).collect();
     let printed = bench.expect("state", &format!("{line} --sandbox"), 5, &told);
     assert!(!mark.exists() && !printed.contains("a secret\\n"), "{printed}");
+    assert!(!printed.contains("a secret of the shell"), "{printed}");
     // Without the sandbox, the user's own environment does all of that.
     let printed = bench.expect("state", &format!("{line} --sandbox=off"), 5, &["the end of the attempts"]);
     assert!(mark.exists() && printed.contains("SAID ['a secret\\n', 1, "), "{printed}");

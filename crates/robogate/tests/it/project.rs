@@ -42,9 +42,11 @@ fn wrong_keys_are_named() {
         ("[gate]\ntwins = 3", "`twins` is true or false"),
         ("task = ", "robogate.toml"),
         ("[run]\nrequirements = 'x'", "`requirements` is not an option of run"),
+        ("n = 'many'", "robogate.toml: `n` (top) has this value"),
+        ("[run]\ndesign = 'spiral'", "robogate.toml: `design` ([run]) has this value"),
     ] {
         write(text);
-        let output = robogate_in(dir.path(), &["run", "--task", "pendulum", "-n", "4"]);
+        let output = robogate_in(dir.path(), &["run", "--task", "pendulum"]);
         assert_eq!(output.status.code(), Some(2), "{text}");
         assert!(stderr(&output).contains(why), "{text}: {}", stderr(&output));
     }

@@ -79,6 +79,24 @@ fn worse_policies_leave_early() {
 }
 
 #[test]
+fn policies_are_ranked_by_the_stages_that_they_reach() {
+    let dir = folder();
+    let at = dir.path();
+    let task = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets/tasks/button");
+    let contest = format!(
+        "rank scripted random --task {} --by stage --rounds 2 --controls 0 --threads 2 --out a",
+        task.canonicalize().unwrap().display()
+    );
+    verb(at, &contest, 0, &["scripted is the best of 2 policies by the stages reached", "stages", "got further"]);
+    let ranking = json(&at.join("a/ranking.json"));
+    assert_eq!((&ranking["by"], &ranking["policies"][0]["name"]), (&"stage".into(), &"scripted".into()));
+    let share = |at: usize| ranking["policies"][at]["stage"].as_f64().unwrap();
+    assert!(share(0) > share(1) && share(0) >= ranking["policies"][0]["rate"].as_f64().unwrap(), "{ranking:#}");
+    verb(at, contest.replace(" --by stage", "").as_str(), 2, &["by stage instead of success"]);
+    verb(at, &format!("{CONTEST} --by stage --out b"), 2, &["the task pendulum declares no stages", "Hint: "]);
+}
+
+#[test]
 fn interrupted_contest_continues() {
     let dir = folder();
     let at = dir.path();

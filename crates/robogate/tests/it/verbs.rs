@@ -176,6 +176,35 @@ fn chance_coincidences_are_no_pairs() {
     assert!(stderr(&paired).contains("only 1 of 100 rows have the same"), "{}", stderr(&paired));
 }
 
+/// Tools number their seeds alike: rows with the same seed and other parameters are not the same scenario. Those with a case are.
+#[test]
+fn equal_seeds_with_other_parameters_are_no_pairs() {
+    let dir = TempDir::new().unwrap();
+    let import = |name: &str, with: &str, shift: u32| {
+        let rows: String = (0..60)
+            .map(|i| format!("{i},{},{},{}\n", (i * 37 + shift) % 60, (i * 23 + 2 * shift) % 60, i % 3 > 0))
+            .collect();
+        let (csv, out) = (path(&dir, &format!("{name}.csv")), path(&dir, &format!("{name}.parquet")));
+        fs::write(&csv, format!("{with},humidity,mass_g,success\n{rows}")).unwrap();
+        assert_done(&robogate(&["import", &csv, &out]));
+        out
+    };
+    let paired = |one: &str, two: &str| robogate(&["compare", "--paired", one, two]);
+    let (one, two) = (import("one", "seed", 0), import("two", "seed", 17));
+    let refused = paired(&one, &two);
+    assert_eq!(refused.status.code(), Some(2), "{}", stderr(&refused));
+    assert!(
+        stderr(&refused).contains("most rows with the same source_seed have another humidity"),
+        "{}",
+        stderr(&refused)
+    );
+    let compared = stdout(&robogate(&["compare", &one, &two]));
+    assert!(!compared.contains("the same 60 scenarios"), "{compared}");
+    // What differs between two trials of one case was not set.
+    let (one, two) = (import("three", "case", 0), import("four", "case", 17));
+    assert_eq!(paired(&one, &two).status.code(), Some(0), "{}", stderr(&paired(&one, &two)));
+}
+
 #[test]
 fn compare_rejects_invalid_arguments() {
     let dir = TempDir::new().unwrap();

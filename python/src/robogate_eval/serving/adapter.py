@@ -20,6 +20,7 @@ from .disturbances import Disturbances
 from .environment import DeclarationError, Environment, innermost
 from .foreign import Translated, holds_tensors, plain, translated
 from .knobs import Knob, differs
+from .layers import action_masks
 from .model import Model, NoModel
 from .motion import Recorder
 from .offer import is_bound, offered
@@ -104,6 +105,12 @@ class Adapter:
         self.deterministic = False
         if is_twin:
             return
+        for name, policy in environment.policies.items():
+            if policy.check is not None:
+                try:
+                    policy.check(env)
+                except ValueError as why:
+                    raise DeclarationError(f"the policy {name}: {why}") from None
         try:
             self.deterministic = self._is_deterministic(doing)
             self._require_success(doing)
@@ -189,7 +196,7 @@ class Adapter:
         self._changes = self._changes or (self._model is not None and self._model.differs)
         random, states, first = np.random.default_rng(index), [self.state_hash()], self._observed_pictures()
         for _ in range(min(steps, self._limit)):
-            numbers = random.uniform(self._actions.low, self._actions.high).tolist()
+            numbers = self._random(random)
             doing("step")
             ending = self.step(Action("vector", numbers))["ending"]
             states.append(self.state_hash() if ending is None else ending["failure"])
@@ -197,6 +204,16 @@ class Adapter:
                 break
         self._note_pictures(first, moved=len(set(states)) > 1)
         return states
+
+    def _random(self, generator: np.random.Generator) -> list[float]:
+        """A random action, of those that an environment with `action_masks()` allows now."""
+        numbers = generator.uniform(self._actions.low, self._actions.high)
+        masks = action_masks(self._env)
+        allowed = np.flatnonzero(np.asarray(masks(), dtype=bool)) if masks is not None and len(numbers) == 1 else ()
+        if len(allowed):
+            # The first level lies half a level above the lower bound.
+            numbers = self._actions.low + 0.5 + generator.choice(allowed)
+        return numbers.tolist()
 
     def _observed_pictures(self) -> dict[str, np.ndarray]:
         return {name: self._observations.image(self._seen, name).copy() for name in self._observations.images}
@@ -227,7 +244,7 @@ class Adapter:
         random, ending = np.random.default_rng(3), None
         while ending is None:
             doing("step")
-            ending = self.step(Action("vector", random.uniform(self._actions.low, self._actions.high).tolist()))["ending"]
+            ending = self.step(Action("vector", self._random(random)))["ending"]
 
     def rehearse(self, doing: Callable[[str], None]) -> None:
         """Run one episode with the first declared policy, otherwise with random actions: so the process imports and opens what any episode
@@ -240,7 +257,7 @@ class Adapter:
             doing("reset")
             reply = self.reset(Scenario(index=0, seed=0, parameters={}, policy=policy))
             while reply.get("ending") is None:
-                numbers = generator.uniform(self._actions.low, self._actions.high).tolist()
+                numbers = self._random(generator)
                 doing("step")
                 reply = self.step(Action("vector", reply.get("proposed", {"action": numbers})["action"]))
         except Exception as error:

@@ -56,6 +56,8 @@ class Policy:
     meaning: str = ""
     # Version of the policy, or the hash of its files. A run records it.
     version: str = ""
+    # Raises ValueError if the policy does not fit an environment. Called once, before the first episode.
+    check: Callable[[Any], None] | None = None
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 
@@ -25,3 +25,8 @@ def attribute(value: Any, name: str) -> Any:
         return getattr(value, name, None)
     except Exception:  # a property of an environment that is not ready yet
         return None
+
+
+def action_masks(env: Any) -> Callable[[], Any] | None:
+    """What returns which actions are possible now. None for an environment that does not say."""
+    return next((masks for layer in layers(env) if callable(masks := attribute(layer, "action_masks"))), None)

@@ -6,6 +6,7 @@ use anyhow::Context;
 use robogate_analysis::{AnalysisOptions, Source};
 use robogate_dictionary::files;
 use robogate_gate::{Asked, Evaluation, Question, RealEvidence, Requirements, Sampling, Verdict};
+use robogate_report::Again;
 use robogate_stats::format::counted;
 
 use super::question::{Other, real_evidence_for};
@@ -31,6 +32,9 @@ impl Gate {
         }
         let mut record = record_of(&source)?;
         let asked = source.folder().map_or(Ok(None), Asked::of)?;
+        if let Some(asked) = &asked {
+            asked.check(source.dictionary().provenance())?;
+        }
         // A run that was tested after each round stays a sequential test, also if it is judged again.
         let sampling = asked.as_ref().map_or(Sampling::Fixed, |asked| asked.sampling);
         let requirements = match (&self.requirements, &asked) {
@@ -74,7 +78,8 @@ impl Gate {
             let target_rate = target_of(Some(&evaluation));
             let options = AnalysisOptions { target_rate, models: false, ..AnalysisOptions::default() };
             let analysis = analyse(&source, run, &options)?;
-            changes::print(&changes::of(&source, &analysis, &evaluation, None, &quoted(run)));
+            let again = self.again(Again::of(&analysis));
+            changes::print(&changes::of(&source, &analysis, &evaluation, None, &quoted(run), &again));
         }
         Ok(code)
     }
@@ -134,6 +139,7 @@ fn described(real: Option<&RealEvidence>) -> String {
 /// The evaluation of the gate that a run's folder belongs to. `None` for a run without a gate.
 pub(crate) fn evaluation_of(folder: &Path, source: &Source) -> Result<Option<Evaluation>, Exit> {
     let Some(asked) = Asked::of(folder)? else { return Ok(None) };
+    asked.check(source.dictionary().provenance())?;
     let record = judged(folder, source.dictionary(), &asked)?;
     let other = compared_with(&asked)?.map(|(_, record)| record);
     let mut evaluation = question(&asked, other.as_ref()).evaluate(&record)?;

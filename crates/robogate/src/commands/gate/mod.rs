@@ -17,7 +17,9 @@ use clap::Args;
 use crate::arguments::{AccessArguments, EnvironmentArguments, LatencyArguments, PolicyArguments};
 use crate::commands::run::How;
 use crate::exit::{Exit, OrExit};
+use crate::given::Given;
 use crate::twins::NominalEpisodes;
+use robogate_report::Again;
 use robogate_session::{CONTROL_EPISODES, PolicyLocation};
 
 pub(crate) use judge::evaluation_of;
@@ -30,6 +32,9 @@ pub(crate) use verdict::{answer_files, finish};
 /// Exit codes: 0 pass, 1 fail, 3 inconclusive, 4 nothing was evaluated.
 #[derive(Debug, Args)]
 pub(crate) struct Gate {
+    /// First, because reading the other arguments removes them.
+    #[command(flatten)]
+    given: Given,
     /// Judge this run's folder or dictionary instead of running episodes
     #[arg(long, value_name = "RUN", conflicts_with_all = ["suite", "rounds", "fixed", "seed", "plan"])]
     run: Option<PathBuf>,
@@ -77,7 +82,7 @@ pub(crate) struct Gate {
     against_profile: Option<String>,
     /// Set the maximum number of rounds of the suite; default: the budget of the requirements, or 1 for a published
     /// benchmark
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     rounds: Option<u32>,
     /// Run all rounds and test once, instead of stopping as soon as the verdict is certain. Points of a space are then one set,
     /// which each round repeats
@@ -109,6 +114,10 @@ pub(crate) struct Gate {
     environment: EnvironmentArguments,
     #[command(flatten)]
     policy: PolicyArguments,
+    /// Record the files of the policy behind a server: the folder or file of its checkpoint, which `robogate admit --checkpoint`
+    /// compares; default: that of a policy that the environment's process loads (lerobot:, sb3:)
+    #[arg(long, value_name = "PATH", requires = "policy", conflicts_with_all = ["run", "plan"])]
+    checkpoint: Option<PathBuf>,
     #[command(flatten)]
     access: AccessArguments,
     #[command(flatten)]
@@ -134,6 +143,18 @@ impl Gate {
         match &self.run {
             Some(run) => self.judge(run),
             None => self.start(),
+        }
+    }
+
+    /// The options of a new run: those of the subject, and those of this command line that a new run also has.
+    fn again(&self, subject: Again) -> Again {
+        let own = ["run", "seed", "rounds", "out", "json", "plan", "divide", "register", "write_baseline", "goes_on"];
+        let scenarios = ["suite", "space", "family", "nominal", "fixed"];
+        let elsewhere = [&own[..], &scenarios].concat();
+        Again {
+            gate: subject.gate + &self.given.again("gate", &own),
+            gate_elsewhere: subject.gate_elsewhere + &self.given.again("gate", &elsewhere),
+            run: subject.run + &self.given.again("run", &elsewhere),
         }
     }
 

@@ -8,6 +8,7 @@ use robogate_campaign::{Completion, DEFAULT_SEED, Plan, Settings};
 use robogate_core::Suite;
 use robogate_dictionary::{Label, Provenance, files};
 use robogate_gate::{Asked, AskedAgainst, GatePlan, PairPlan, Planned, Question, Record, Requirements, Sampling};
+use robogate_report::Again;
 use robogate_stats::format::counted;
 
 use super::Gate;
@@ -22,8 +23,8 @@ use crate::force_limits;
 use crate::place;
 use crate::terminal::{line, note};
 use robogate_session::{
-    Arms, MARGIN, PolicyChoice, Reopening, Rival, Rounds, SAMPLED_SCENARIOS, Subject, families, named_suite,
-    nominal_suite, rounds_and_sampling, run_controls, with_plan,
+    Arms, CHECKPOINT, MARGIN, PolicyChoice, Reopening, Rival, Rounds, SAMPLED_SCENARIOS, Subject, checkpoint, families,
+    named_suite, nominal_suite, rounds_and_sampling, run_controls, with_plan,
 };
 
 /// A gate before its first episode.
@@ -127,6 +128,7 @@ impl Gate {
         }
         let other = self.other(&record)?;
         let expected = GatePlan::of(&requirements, other.baseline.as_ref(), &labels, sampling, u64::from(rounds))?;
+        requirements.check_task(subject.task())?;
         let margin = self.margin.unwrap_or(MARGIN);
         if let Some((_, a)) = &other.record {
             let planned = Planned { seed: plan.seed, rounds: u64::from(rounds), sampling, alpha: requirements.alpha() };
@@ -303,17 +305,21 @@ impl Gate {
             }
             None => None,
         };
+        let recorded = self.checkpoint.clone().or_else(|| subject.loaded_checkpoint());
+        let recorded = recorded.map(|path| checkpoint(&path)).transpose()?.map(|checkpoint| checkpoint.to_json());
         let arms = Arms::of(&dir, &plan, &provenance.space, &subject)?;
         let mut rounds = Rounds::new(&dir, asked, rival, other.record.map(|(_, record)| record), record);
         let completion = self.how.carry(&dir, &subject, |executor, events| {
-            let documents: Vec<_> = registration.iter().flat_map(Registered::files).collect();
+            let mut documents: Vec<_> = registration.iter().flat_map(Registered::files).collect();
+            documents.extend(recorded.iter().map(|text| (CHECKPOINT, text.as_bytes())));
             rounds.run(&plan, provenance, arms, executor, &documents, events)
         })?;
         if let Completion::Finished { .. } = &completion {
             subject.write_fingerprint(&dir);
         }
         let (asked, other) = rounds.end(&completion)?;
-        finish(&dir, &asked, other.as_ref(), completion, Some(&subject), self.how.json)
+        let again = self.again(Again::default());
+        finish(&dir, &asked, other.as_ref(), completion, Some(&subject), Some(&again), self.how.json)
     }
 }
 
@@ -334,7 +340,7 @@ pub(crate) fn resume(
         subject.write_fingerprint(dir);
     }
     let (asked, other) = rounds.end(&completion)?;
-    finish(dir, &asked, other.as_ref(), completion, Some(subject), how.json)
+    finish(dir, &asked, other.as_ref(), completion, Some(subject), None, how.json)
 }
 
 impl Prepared {

@@ -8,7 +8,7 @@ use robogate_analysis::Source;
 use robogate_campaign::Completion;
 use robogate_dictionary::{Provenance, files};
 use robogate_gate::{Asked, Evaluation, Record, Verdict};
-use robogate_report::{Watch, evaluation_markdown_with, junit};
+use robogate_report::{Again, Watch, evaluation_markdown_with, junit};
 use robogate_stats::format::counted;
 
 use crate::answer;
@@ -29,13 +29,15 @@ const ANSWER: [&str; 3] = ["gate.json", "gate.md", "gate.junit.xml"];
 /// The folder of images to which the Markdown file refers, in a run's folder.
 const FRAMES: &str = "frames";
 
-/// Evaluates a finished run, writes the verdict and the report, and prints the verdict.
+/// Evaluates a finished run, writes the verdict and the report, and prints the verdict. `again` has the options of a new run, where the
+/// command line is that of this gate.
 pub(crate) fn finish(
     dir: &Path,
     asked: &Asked,
     other: Option<&Record>,
     completion: Completion,
     subject: Option<&Subject>,
+    again: Option<&Again>,
     json: bool,
 ) -> Result<u8, Exit> {
     if let Completion::Interrupted { done, episodes } = completion {
@@ -66,7 +68,8 @@ pub(crate) fn finish(
     let code = show(dir, Some(dir), &evaluation, source.dictionary().provenance(), json)?;
     if let Some(analysis) = analysis.filter(|_| !json) {
         let watch = watch.as_ref().filter(|watch| !watch.items.is_empty());
-        changes::print(&changes::of(&source, &analysis, &evaluation, watch, &quoted(dir)));
+        let again = again.cloned().unwrap_or_else(|| Again::of(&analysis));
+        changes::print(&changes::of(&source, &analysis, &evaluation, watch, &quoted(dir), &again));
     }
     Ok(code)
 }

@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 use anyhow::anyhow;
 use clap::{Args, ValueEnum};
 use robogate_campaign::DEFAULT_SEED;
-use robogate_gate::RankingGuarantee;
+use robogate_gate::{RankingGuarantee, RankingOutcome};
 
 use crate::arguments::{AccessArguments, EnvironmentArguments, LatencyArguments};
 use crate::commands::analyze::Groups;
@@ -53,6 +53,10 @@ pub(crate) struct Rank {
     /// as the best one is dropped, which needs more episodes)
     #[arg(long, value_name = "NAME", default_value = "best-stays")]
     guarantee: Named,
+    /// Choose what is compared: success, or stage, which policy gets further on the way to success more often (a task that declares
+    /// stages). The rates of the answer are those of success in any case
+    #[arg(long, value_name = "OUTCOME", default_value = "success")]
+    by: By,
     /// Set the error probability of the guarantee, over all policies and rounds, above 0 and below 0.5
     #[arg(long, value_name = "SHARE", default_value_t = 0.05)]
     error: f64,
@@ -103,6 +107,13 @@ enum Named {
     NoFalseElimination,
 }
 
+/// What is compared, as words of the command line.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum By {
+    Success,
+    Stage,
+}
+
 fn profile_of(text: &str) -> Result<(String, String), String> {
     let (policy, profile) = text.rsplit_once('=').ok_or("expected POLICY=PROFILE, for example net.onnx=droid")?;
     Ok((policy.to_owned(), profile.to_owned()))
@@ -125,6 +136,13 @@ impl Rank {
             .or_usage();
         }
         self.results()
+    }
+
+    fn outcome(&self) -> RankingOutcome {
+        match self.by {
+            By::Success => RankingOutcome::Success,
+            By::Stage => RankingOutcome::Stage,
+        }
     }
 
     fn guarantee(&self) -> RankingGuarantee {

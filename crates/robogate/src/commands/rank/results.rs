@@ -90,6 +90,7 @@ impl Rank {
             invalid: of.success.bounds.invalid,
             successes: of.success.rate.successes,
             rate: of.success.rate.rate,
+            stage: None,
             interval_95: of.success.rate.wilson_95,
             dropped: better(&of.name),
         });

@@ -7,7 +7,7 @@ use anyhow::{Context, anyhow, bail};
 use robogate_campaign::{Event, Plan};
 use robogate_core::Suite;
 use robogate_dictionary::files;
-use robogate_gate::{Ranking, RankingDesign, Record};
+use robogate_gate::{Ranking, RankingDesign, RankingOutcome, Record};
 use robogate_stats::contest::{Dropped, Elimination};
 use robogate_stats::format::percent_or_dash;
 use serde_json::json;
@@ -49,6 +49,15 @@ impl Rank {
         }
         self.check_profiles()?;
         let subjects = self.policies.iter().map(|policy| self.subject(policy)).collect::<Result<Vec<_>, Exit>>()?;
+        let task = subjects[0].task();
+        if self.outcome() == RankingOutcome::Stage && task.stages.is_empty() {
+            return Err(anyhow!(
+                "--by stage: the task {} declares no stages\nHint: a task of your own declares `[[stage]]` in its file, or `stages` and \
+                 a measure `stages`; or leave out --by",
+                task.name
+            ))
+            .or_usage();
+        }
         let suite = self.suite_of(&subjects[0])?;
         let plan = Plan::of_suite(suite.clone(), u64::from(self.rounds), self.seed);
         plan.check(suite.space()).or_usage()?;
@@ -60,8 +69,8 @@ impl Rank {
             .zip(names)
             .map(|(subject, name)| Contestant { folder: dir.join(folder_name(&name)), name, subject })
             .collect();
-        let (folder, guarantee) = (dir.clone(), self.guarantee());
-        let contest = Contest { folder, contestants, plan, guarantee, error: self.error };
+        let (folder, guarantee, by) = (dir.clone(), self.guarantee(), self.outcome());
+        let contest = Contest { folder, contestants, plan, by, guarantee, error: self.error };
         if self.plan {
             return self.print_plan(&contest.elimination()?, suite.cases().len() as u64);
         }
@@ -104,7 +113,8 @@ impl Rank {
             .zip(invalid)
             .map(|(of, invalid)| (of.name.clone(), of.folder.display().to_string(), invalid))
             .collect();
-        let ranking = Ranking::of_rounds(scenarios, design, (self.guarantee(), self.error), &policies, &elimination);
+        let question = (self.guarantee(), self.error, self.outcome());
+        let ranking = Ranking::of_rounds(scenarios, design, question, &policies, &elimination);
         let answer = dir.join(ANSWER);
         files::write(&answer, ranking.to_json())
             .with_context(|| format!("cannot write {}", answer.display()))

@@ -25,10 +25,16 @@ fn print(ranking: &Ranking) {
     line(bold(ranking.headline()));
     wrapped(&ranking.scenarios);
     line("");
-    line(dim(format_args!("  {:<NAME$} {:>7}  {:<18} {:>8}  state", "policy", "rate", "95 % interval", "episodes")));
+    let by_stage = ranking.policies.iter().any(|policy| policy.stage.is_some());
+    let head = if by_stage { format!("{:>8}  ", "stages") } else { String::new() };
+    line(dim(format_args!(
+        "  {:<NAME$} {:>7}  {:<18} {head}{:>8}  state",
+        "policy", "rate", "95 % interval", "episodes"
+    )));
     for policy in ranking.policies.iter().take(MOST_ROWS) {
+        let stage = if by_stage { format!("{:>8}  ", percent_or_dash(policy.stage)) } else { String::new() };
         let text = format!(
-            "  {:<NAME$} {:>7}  {:<18} {:>8}  {}",
+            "  {:<NAME$} {:>7}  {:<18} {stage}{:>8}  {}",
             policy.name.chars().take(NAME).collect::<String>(),
             percent_or_dash(policy.rate),
             percent_range(policy.interval_95),
@@ -51,7 +57,12 @@ fn print(ranking: &Ranking) {
             }
             None => "",
         };
-        wrapped(&format!("{names}: {difference} points, {range} (95 %{together}).{groups}"));
+        let what = if by_stage {
+            " That is the share of scenarios in which the first got further minus that in which the second did."
+        } else {
+            ""
+        };
+        wrapped(&format!("{names}: {difference} points, {range} (95 %{together}).{what}{groups}"));
     }
     wrapped(&ranking.statement());
     let invalid: u64 = ranking.policies.iter().map(|policy| policy.invalid).sum();

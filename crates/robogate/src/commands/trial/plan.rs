@@ -14,7 +14,7 @@ use robogate_trial::{Arm, FORMAT, Folder, Plan, Population, Question, Secret, Ti
 use super::exit;
 use crate::exit::{DONE, Exit, OrExit};
 use crate::place;
-use crate::terminal::{line, note, wrapped};
+use crate::terminal::{line, note, warning, wrapped};
 
 /// Type of the signed plan.
 pub(super) const PAYLOAD_TYPE: &str = "application/vnd.robogate.trial-plan+json";
@@ -81,6 +81,11 @@ pub(super) struct PlanOf {
     key: Option<PathBuf>,
 }
 
+/// The right answers of a plan, by their names.
+const RIGHT: [&str; 3] = ["pass", "the better one", "the best one alone"];
+/// The probability of a right answer below which a study is hardly worth its trials.
+const FEWEST_ANSWERS: f64 = 0.2;
+
 impl PlanOf {
     pub(super) fn execute(&self) -> Result<u8, Exit> {
         let key = self.key.as_deref().map(PrivateKey::read).transpose()?;
@@ -94,6 +99,16 @@ impl PlanOf {
             note(format_args!("signed with key {}", key.public().id()));
         }
         print(&plan);
+        // An answer for none of the listed rates: the people at the robot would work for nothing.
+        let right = |row: &robogate_trial::Expected| {
+            row.answers.iter().filter(|(name, _)| RIGHT.contains(&name.as_str())).any(|(_, p)| *p >= FEWEST_ANSWERS)
+        };
+        if !plan.expected.iter().any(right) {
+            warning(format_args!(
+                "for none of these rates does the study find the answer in {} of cases: raise --blocks",
+                percent(FEWEST_ANSWERS)
+            ));
+        }
         note(format_args!(
             "The order of the policies is secret. Do not read {} before the end.",
             self.study.join(robogate_trial::SECRET).display()

@@ -39,6 +39,14 @@ impl CheckOn {
         let detector = file.detector().or_usage()?;
         let risk = file.scenario_risk().or_usage()?;
         let (mut recorded, _) = self.run.read(&file.events, |_| Ok(file.known.clone()))?;
+        if file.runs.contains(&recorded.run) {
+            return Err(anyhow!(
+                "{}: its episodes trained this detector or gave its threshold, so they do not measure the promise\nHint: check it on another \
+                 run, for example with another --seed",
+                self.run.run.display()
+            ))
+            .or_usage();
+        }
         if recorded.signals != file.features.signals {
             return Err(anyhow!(
                 "{}: its signals are not those of the detector: another task, robot or control period\nHint: train a detector with this run",
@@ -67,7 +75,8 @@ impl CheckOn {
             let calibration = calibrate(&scored, promised).or_usage()?;
             let again = baselines(&tracks, &scored, risk.as_ref(), promised)?;
             let baselines = Baselines { clock: again.clock, scenario: again.scenario, ..file.baselines.clone() };
-            let again = WarnFile { calibration, baselines, conditions: recorded.conditions, ..file };
+            let runs = file.runs.iter().cloned().chain([recorded.run]).collect();
+            let again = WarnFile { calibration, baselines, conditions: recorded.conditions, runs, ..file };
             super::write(out, &again)?;
             note(format_args!("calibrated again: {}", foreign(out.display())));
             return Ok(DONE);

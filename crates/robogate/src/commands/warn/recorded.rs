@@ -8,7 +8,7 @@ use anyhow::anyhow;
 use clap::Args;
 use robogate_campaign::folder::DICTIONARY;
 use robogate_core::{Assignment, Domain, ParameterSpace, Scenario, Signals, Value, Word};
-use robogate_dictionary::{Dictionary, Entry, Provenance};
+use robogate_dictionary::{Dictionary, Entry, Provenance, hex};
 use robogate_gate::evidence;
 use robogate_monitor::warn::{Conditions, EventRule, KnownParameter, MOST_SIGNALS, Track};
 use robogate_session::{Reopening, SIGNALS, Subject, Workers, read_signals};
@@ -34,6 +34,8 @@ pub(super) struct RunArguments {
 /// The episodes of a run.
 pub(super) struct Recorded {
     pub(super) conditions: Conditions,
+    /// SHA-256 (hex) of the provenance of the run, which determines its episodes.
+    pub(super) run: String,
     pub(super) signals: Signals,
     /// The parameters that vary.
     pub(super) parameters: Vec<KnownParameter>,
@@ -129,7 +131,8 @@ impl RunArguments {
             ));
         }
         let conditions = conditions(provenance);
-        Ok((Recorded { conditions, signals: header.signals, parameters, tracks }, known))
+        let run = hex(&Sha256::digest(provenance.to_json()));
+        Ok((Recorded { conditions, run, signals: header.signals, parameters, tracks }, known))
     }
 
     /// Runs the episodes again and records their signals.

@@ -51,7 +51,7 @@ pub(super) struct TrainOn {
 impl TrainOn {
     pub(super) fn execute(&self) -> Result<u8, Exit> {
         let (recorded, known) = self.run.read(&self.event, |parameters| self.known(parameters))?;
-        let Recorded { conditions, signals, parameters, tracks } = recorded;
+        let Recorded { conditions, run, signals, parameters, tracks } = recorded;
         let (model, others) = divided(&tracks, self.seed);
         let features = Features { signals, parameters: known.iter().map(|of| of.name.clone()).collect() };
         let kept = |track: &&Track| !self.successes_only || track.failure.is_none();
@@ -70,6 +70,7 @@ impl TrainOn {
         let file = WarnFile {
             warn_format: WarnFile::FORMAT,
             conditions,
+            runs: vec![run],
             features: detector.features.clone(),
             known,
             trees,

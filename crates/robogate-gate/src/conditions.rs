@@ -1,0 +1,89 @@
+//! What a success depends on besides the policy: settings of the task, engine, robot, environment, latency.
+//!
+//! Two runs can have the same scenarios and seeds and still ask different questions. A comparison of two policies under different
+//! settings, engines or robots is refused. Differences that can belong to a policy or to its upgrade are named.
+
+use robogate_core::{SettingSpec, TaskSpec};
+use robogate_dictionary::{Place, Provenance};
+
+/// The conditions of a record.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Conditions {
+    /// Name and value of what must agree.
+    fixed: Vec<(String, String)>,
+    /// Name and value of what may differ, and is then named.
+    stated: Vec<(String, String)>,
+}
+
+impl Conditions {
+    /// The conditions of a run. Those of imports are unknown.
+    pub(crate) fn of(provenance: &Provenance) -> Self {
+        let Some(world) = provenance.world.as_ref().filter(|_| provenance.source.is_none()) else {
+            return Self::default();
+        };
+        let task = &provenance.task;
+        let settings = task.settings.iter().map(|setting| (setting.name.to_string(), shown(setting)));
+        let mut fixed: Vec<(String, String)> = settings.collect();
+        if !task.settings.iter().any(|setting| &*setting.name == "time_limit_s") {
+            fixed.push(("time limit".to_owned(), format!("{} s", task.time_limit_s)));
+        }
+        fixed.push(("engine".to_owned(), provenance.engine.name.clone()));
+        fixed.push(("robot".to_owned(), provenance.robot.name.clone()));
+        let json = |value: Option<String>| value.unwrap_or_else(|| "none".to_owned());
+        let mut stated = vec![
+            ("version of the engine".to_owned(), json(provenance.engine.version.clone())),
+            ("robot's files".to_owned(), json(provenance.robot.sha256.clone())),
+            ("latency".to_owned(), json(world.execution.as_ref().and_then(|of| serde_json::to_string(of).ok()))),
+            ("stress".to_owned(), json(world.stress.as_ref().and_then(|of| serde_json::to_string(of).ok()))),
+        ];
+        if let Place::Python(python) = &world.place {
+            stated.push(("environment's file".to_owned(), json(python.sha256.clone())));
+            stated.extend(python.packages.iter().map(|(name, version)| (format!("package {name}"), version.clone())));
+        }
+        Self { fixed, stated }
+    }
+
+    /// What must agree and differs, in words. `None` if nothing does.
+    pub(crate) fn contradiction(&self, other: &Self) -> Option<String> {
+        Some(differences(&self.fixed, &other.fixed)).filter(|found| !found.is_empty()).map(|found| found.join("; "))
+    }
+
+    /// What may differ and does, in words.
+    pub(crate) fn differences(&self, other: &Self) -> Vec<String> {
+        differences(&self.stated, &other.stated)
+    }
+}
+
+/// What differs between the conditions of A and those of B.
+fn differences(a: &[(String, String)], b: &[(String, String)]) -> Vec<String> {
+    let short = |value: &str| match value.len() {
+        // The start of a hash tells two of them apart.
+        64 if value.bytes().all(|byte| byte.is_ascii_hexdigit()) => format!("SHA-256 {}...", &value[..12]),
+        _ => value.to_owned(),
+    };
+    let differing = a.iter().filter_map(|(name, one)| {
+        let (_, two) = b.iter().find(|(known, two)| known == name && two != one)?;
+        Some(format!("{name}: {} and {}", short(one), short(two)))
+    });
+    differing.collect()
+}
+
+/// The value of a setting.
+fn shown(setting: &SettingSpec) -> String {
+    let value = setting.value.as_ref().or(setting.default.as_ref());
+    value.map_or_else(|| "that of the robot".to_owned(), ToString::to_string)
+}
+
+/// The settings of a task that are not those that it has by default: they decide what counts as a success.
+pub(crate) fn changed_settings(task: &TaskSpec) -> Vec<String> {
+    let changed = task
+        .settings
+        .iter()
+        .filter(|setting| setting.value.is_some() && setting.default.is_some() && setting.value != setting.default);
+    changed
+        .map(|setting| {
+            let default = setting.default.as_ref().map_or_else(String::new, ToString::to_string);
+            format!("{} = {} (default {default})", setting.name, shown(setting))
+        })
+        .collect()
+}
