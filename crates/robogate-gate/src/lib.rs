@@ -70,7 +70,7 @@ pub use leaderboard::{Leaderboard, Standing};
 pub use metric::{Metric, Production, Statistic};
 pub use next_budget::NextBudget;
 pub use nominal::NominalRate;
-pub use operating_domain::operating_domain;
+pub use operating_domain::{operating_domain, operating_ranges};
 pub use pair_plan::{PairOperating, PairPlan};
 pub use plan::{GatePlan, Operating, RequirementPlan};
 pub use production::{ProductionFigure, ProductionFigures, UNLIMITED};

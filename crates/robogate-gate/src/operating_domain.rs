@@ -5,13 +5,43 @@
 use std::collections::BTreeSet;
 use std::fmt::Write;
 
-use robogate_core::{Domain, ParameterSpace};
+use robogate_core::{Domain, Parameter, Spread, Suite, Value};
+use robogate_dictionary::Provenance;
+use robogate_stats::format::is_deceptive;
 
-/// The domain of a space.
-pub fn operating_domain(space: &ParameterSpace) -> String {
+/// The suite that rows were sampled from, if there is one.
+pub(crate) fn suite_of(provenance: &Provenance) -> Option<Suite> {
+    let suite = provenance.plan.pointer("/suite/suite").cloned();
+    suite.and_then(|suite| serde_json::from_value(suite).ok())
+}
+
+/// The operating ranges of rows: their space. A number that all scenarios of a suite share is constant, although the space has a small
+/// range for it.
+pub fn operating_ranges(provenance: &Provenance) -> Vec<Parameter> {
+    let suite = suite_of(provenance);
+    let constant = |name: &str| {
+        let of = suite.iter().flat_map(Suite::cases).flat_map(|case| &case.parameters).filter(|(of, _)| **of == *name);
+        let mut values = of.map(|(_, spread)| match spread {
+            Spread::Fixed(Value::Number(x)) => Some(*x),
+            _ => None,
+        });
+        let first = values.next()??;
+        values.all(|value| value == Some(first)).then_some(first)
+    };
+    let range = |parameter: &Parameter| match (&parameter.domain, constant(&parameter.name)) {
+        (Domain::Continuous { scale, .. }, Some(x)) => {
+            Parameter { domain: Domain::Continuous { low: x, high: x, scale: *scale }, ..parameter.clone() }
+        }
+        _ => parameter.clone(),
+    };
+    provenance.space.parameters().iter().map(range).collect()
+}
+
+/// The domain of the operating ranges of a space.
+pub fn operating_domain(space: &str, ranges: &[Parameter]) -> String {
     let mut taken = BTreeSet::new();
     let (mut taxonomy, mut module) = (String::new(), String::new());
-    for parameter in space.parameters() {
+    for parameter in ranges {
         let name = concept(&parameter.name, &mut taken);
         let (kind, values) = match &parameter.domain {
             Domain::Continuous { low, high, .. } => ("float".to_owned(), quoted(&format!("[{low:?}, {high:?}]"))),
@@ -29,7 +59,7 @@ pub fn operating_domain(space: &ParameterSpace) -> String {
     format!(
         "# ASAM OpenODD 1.0. Values are in the unit that a name ends with.\nTAXONOMY:\n{taxonomy}MODULES:\n  operating_range:\n    \
          TITLE: {}\n    INCLUDE_AND:\n{module}",
-        quoted(&format!("The parameter space {}", space.name()))
+        quoted(&format!("The parameter space {space}"))
     )
 }
 
@@ -45,7 +75,7 @@ fn concept(name: &str, taken: &mut BTreeSet<String>) -> String {
     concept
 }
 
-/// A double-quoted scalar: JSON is YAML.
+/// A double-quoted scalar: JSON is YAML, except for control characters.
 fn quoted(text: &str) -> String {
-    serde_json::Value::from(text).to_string()
+    serde_json::Value::from(text.replace(is_deceptive, "\u{fffd}")).to_string()
 }

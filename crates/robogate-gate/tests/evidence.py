@@ -1,4 +1,4 @@
-"""Reads keys and evidence of RoboGate with cryptography and securesystemslib (the library of in-toto and TUF).
+"""Reads keys and evidence of RoboGate with cryptography, securesystemslib (the library of in-toto and TUF) and in-toto-attestation.
 
 Usage: evidence.py PRIVATE_KEY PUBLIC_KEY EVIDENCE_FOLDER
 """
@@ -9,6 +9,10 @@ import pathlib
 import sys
 
 from cryptography.hazmat.primitives import serialization
+from google.protobuf import json_format
+from in_toto_attestation.predicates.test_result.v0.test_result_pb2 import TestResult
+from in_toto_attestation.v1 import statement_pb2
+from in_toto_attestation.v1.statement import Statement
 from securesystemslib.dsse import Envelope
 from securesystemslib.exceptions import VerificationError
 from securesystemslib.signer import SSlibKey
@@ -42,7 +46,17 @@ for name, predicate_type in [
         pass
     else:
         raise AssertionError("a changed payload was accepted")
+    # The types of the in-toto attestation framework: a field with another name or type is an error.
+    Statement.copy_from_pb(json_format.Parse(envelope.payload, statement_pb2.Statement())).validate()
     statement = json.loads(envelope.payload)
+    if name == "test-result":
+        result = json_format.ParseDict(statement["predicate"], TestResult())
+        assert result.result in ("PASSED", "WARNED", "FAILED"), result
+        assert result.configuration, result
+        assert (result.result == "PASSED") == (not result.failed_tests), result
+        for file in result.configuration:
+            found = hashlib.sha256((folder / file.name).read_bytes()).hexdigest()
+            assert file.digest["sha256"] == found, file
     assert statement["_type"] == "https://in-toto.io/Statement/v1", statement
     assert statement["predicateType"] == predicate_type, statement
     assert {"name": "manifest.json", "digest": {"sha256": manifest}} in statement["subject"], statement

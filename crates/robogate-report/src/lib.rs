@@ -8,6 +8,7 @@
 //! | a [`Comparison`](robogate_analysis::Comparison) | [`comparison_html`], [`comparison_markdown`], [`comparison_text`], [`comparison_json`] |
 //! | a [`Transfer`](robogate_analysis::transfer::Transfer) | [`transfer_html`], [`transfer_text`], [`transfer_json`] |
 //! | an [`Evaluation`] of the gate | [`junit`], [`verdict_html`], [`evaluation_markdown`], [`evaluation_markdown_with`] |
+//! | [`Judged`](robogate_gate::evidence::Judged) evidence | [`SafetyCase`], [`safety_case_html`] |
 //! | a [`Requalification`](robogate_gate::Requalification) | [`requalification_html`] |
 //! | episodes of runs | [`explorer_page`], [`replay_page`] |
 //! | a [`Leaderboard`](robogate_gate::Leaderboard) | [`leaderboard_html`], [`leaderboard_markdown`] |
@@ -20,6 +21,7 @@ mod html;
 mod json;
 mod markdown;
 mod plain;
+mod safety;
 mod text;
 mod watch;
 
@@ -45,6 +47,10 @@ pub use json::{
 };
 pub use markdown::{comparison_markdown, markdown, markdown_with};
 pub use plain::{Line, analysis_text, comparison_text, transfer_text};
+pub use safety::{
+    Answered, Claim, Clause, Defeater, Note, NoteKind, OPERATING_DOMAIN, SafetyCase, Solution, Support,
+    safety_case_html,
+};
 pub use text::{ComparisonHeadline, Headline, TransferHeadline, comparison_limits, limits};
 pub use watch::{Strip, Watch, WatchItem};
 

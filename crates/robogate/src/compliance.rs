@@ -1,8 +1,8 @@
-//! The compliance pack of evidence: the verdict as a page for filing and for CI, and the list of
-//! components behind it.
+//! Documents of evidence that follow from its other files: the index, the compliance pack (the verdict as a page for filing and for CI, and
+//! the list of components behind it), and the safety case.
 //!
-//! All documents are functions of the evaluation, the provenance of the rows and this build, without a date.
-//! Evidence lists their hashes, and [`check`] writes them again and compares.
+//! All documents are functions of these files and this build, without a date. Evidence lists their hashes, and [`check`] writes them again
+//! and compares.
 
 use std::path::Path;
 
@@ -10,12 +10,15 @@ use anyhow::Context;
 use robogate_campaign::Summary;
 use robogate_core::budget::Budget;
 use robogate_core::{FailureMode, Parameter, ParameterSpec, SettingSpec};
-use robogate_dictionary::{Dictionary, Provenance, Tool};
-use robogate_gate::evidence::{EnvironmentBinding, MANIFEST, Manifest, PolicyBinding, Problem, Role};
-use robogate_gate::{Evaluation, Metric, operating_domain};
-use robogate_report::{evidence_html, junit, of_invalid, verdict_html};
+use robogate_dictionary::{Dictionary, Provenance, Tool, hex};
+use robogate_gate::evidence::{
+    Documents, EnvironmentBinding, Judged, MANIFEST, Manifest, PolicyBinding, Problem, Role,
+};
+use robogate_gate::{Evaluation, Metric, operating_domain, operating_ranges};
+use robogate_report::{OPERATING_DOMAIN, SafetyCase, evidence_html, junit, of_invalid, safety_case_html, verdict_html};
 use robogate_session::SOURCE_SHA256;
 use serde_json::{Value, json};
+use sha2::{Digest, Sha256};
 
 use crate::commands::env::domain;
 
@@ -28,11 +31,49 @@ const LOCK: &str = include_str!("../../../Cargo.lock");
 
 /// The first page of the evidence.
 const INDEX: &str = "index.html";
+/// The verdict for readers and for CI.
+const VERDICT: &str = "compliance/verdict.html";
+const JUNIT: &str = "compliance/gate.junit.xml";
+/// The safety case for readers and for tools.
+const SAFETY_CASE: &str = "safety-case.html";
+const ARGUMENT: &str = "safety-case.gsn.yaml";
 
-/// The page of every evidence: path in the evidence, and content.
-pub(crate) fn index(evaluation: &Evaluation, provenance: &Provenance) -> Vec<(String, Vec<u8>)> {
-    let page = evidence_html(evaluation, &origin(provenance), ranges(provenance), unchecked(evaluation, provenance));
-    vec![(INDEX.to_owned(), page.into_bytes())]
+/// The documents of evidence: always the index, and these.
+pub(crate) fn documents(compliance: bool, safety_case: bool) -> Documents {
+    match (compliance, safety_case) {
+        (false, false) => |judged| all(judged, false, false),
+        (false, true) => |judged| all(judged, false, true),
+        (true, false) => |judged| all(judged, true, false),
+        (true, true) => |judged| all(judged, true, true),
+    }
+}
+
+/// Path in the evidence and content of each document.
+fn all(judged: &Judged<'_>, compliance: bool, safety_case: bool) -> Vec<(String, Vec<u8>)> {
+    let (evaluation, provenance) = (judged.evaluation, judged.provenance());
+    let more = safety_case.then_some(SAFETY_CASE);
+    let (ranges, unchecked) = (ranges(provenance), unchecked(evaluation, provenance));
+    let index = evidence_html(evaluation, &origin(provenance), ranges, unchecked, more);
+    let mut documents = vec![(INDEX, index.into_bytes())];
+    if compliance {
+        // A tree of strings and maps cannot fail to serialise.
+        let sbom = serde_json::to_string_pretty(&sbom(evaluation, provenance)).unwrap_or_default() + "\n";
+        documents.extend([
+            (VERDICT, verdict_html(evaluation, &origin(provenance)).into_bytes()),
+            (JUNIT, junit(evaluation).into_bytes()),
+            (SBOM, sbom.into_bytes()),
+        ]);
+    }
+    let domain = operating_domain(provenance.space.name(), &operating_ranges(provenance)).into_bytes();
+    if safety_case {
+        let case = SafetyCase::of(judged, &hex(&Sha256::digest(&domain)));
+        documents.push((SAFETY_CASE, safety_case_html(case.as_ref().map_err(String::as_str)).into_bytes()));
+        documents.extend(case.ok().map(|case| (ARGUMENT, case.to_gsn().into_bytes())));
+    }
+    if compliance || safety_case {
+        documents.push((OPERATING_DOMAIN, domain));
+    }
+    documents.into_iter().map(|(name, bytes)| (name.to_owned(), bytes)).collect()
 }
 
 /// The parameters of the space: name, range, unit and meaning.
@@ -43,7 +84,7 @@ fn ranges(provenance: &Provenance) -> Vec<Vec<String>> {
         let name = parameter.name.to_string();
         vec![name, domain(&parameter.domain), of(|spec| spec.unit.to_string()), of(|spec| spec.meaning.to_string())]
     };
-    provenance.space.parameters().iter().map(row).collect()
+    operating_ranges(provenance).iter().map(row).collect()
 }
 
 /// What the verdict leaves open, in sentences.
@@ -83,22 +124,6 @@ fn unchecked(evaluation: &Evaluation, provenance: &Provenance) -> Vec<String> {
     texts
 }
 
-/// The index and the documents of the compliance pack: path in the evidence, and content.
-pub(crate) fn documents(evaluation: &Evaluation, provenance: &Provenance) -> Vec<(String, Vec<u8>)> {
-    // A tree of strings and maps cannot fail to serialise.
-    let sbom = serde_json::to_string_pretty(&sbom(evaluation, provenance)).unwrap_or_default() + "\n";
-    [
-        ("compliance/verdict.html", verdict_html(evaluation, &origin(provenance)).into_bytes()),
-        ("compliance/gate.junit.xml", junit(evaluation).into_bytes()),
-        (SBOM, sbom.into_bytes()),
-        ("compliance/operating-domain.odd.yaml", operating_domain(&provenance.space).into_bytes()),
-    ]
-    .map(|(name, bytes)| (name.to_owned(), bytes))
-    .into_iter()
-    .chain(index(evaluation, provenance))
-    .collect()
-}
-
 /// The summary and the documents in verified evidence that differ from those of its rows, and `false` if
 /// another version wrote them, so that they could not be compared.
 pub(crate) fn check(folder: &Path) -> anyhow::Result<(Vec<Problem>, bool)> {
@@ -123,7 +148,9 @@ pub(crate) fn check(folder: &Path) -> anyhow::Result<(Vec<Problem>, bool)> {
         let reason = other_summary(&dictionary, &read(&listed.path)?);
         problems.extend(reason.map(|reason| Problem::new(&*listed.path, reason)));
     }
-    let expected = documents(&evaluation, dictionary.provenance());
+    let has = |names: &[&str]| manifest.files.iter().any(|file| names.contains(&file.path.as_str()));
+    let judged = Judged::of(folder, &evaluation, &dictionary, &manifest.files, manifest.margin)?;
+    let expected = documents(has(&[VERDICT, JUNIT, SBOM]), has(&[SAFETY_CASE, ARGUMENT]))(&judged);
     for listed in of(Role::Compliance) {
         let (found, written) = (read(&listed.path)?, expected.iter().find(|(name, _)| *name == listed.path));
         let reason = match written {

@@ -19,6 +19,10 @@ pub enum Format {
     LeRobot,
     /// The aggregate JSON of vla-eval: `tasks` with `episodes`.
     VlaEval,
+    /// The evaluation log of Inspect Robots: `samples` with `epochs`.
+    InspectRobots,
+    /// The folder of a LeRobot dataset whose frames have `next.success`.
+    LeRobotDataset,
     /// Comma, semicolon or tab separated values with a header.
     Csv,
     /// One JSON object per line.
@@ -29,8 +33,16 @@ pub enum Format {
 
 impl Format {
     /// Every format.
-    pub const ALL: [Self; 6] =
-        [Self::Published, Self::LeRobot, Self::VlaEval, Self::Csv, Self::JsonLines, Self::Parquet];
+    pub const ALL: [Self; 8] = [
+        Self::Published,
+        Self::LeRobot,
+        Self::VlaEval,
+        Self::InspectRobots,
+        Self::LeRobotDataset,
+        Self::Csv,
+        Self::JsonLines,
+        Self::Parquet,
+    ];
 
     /// The name in options and provenance.
     pub fn as_str(self) -> &'static str {
@@ -38,6 +50,8 @@ impl Format {
             Self::Published => "published_json",
             Self::LeRobot => "lerobot",
             Self::VlaEval => "vla_eval",
+            Self::InspectRobots => "inspect_robots",
+            Self::LeRobotDataset => "lerobot_dataset",
             Self::Csv => "csv",
             Self::JsonLines => "json_lines",
             Self::Parquet => "parquet",
@@ -49,7 +63,8 @@ impl Format {
         match self {
             Self::LeRobot => super::lerobot::mapping(),
             Self::VlaEval => super::vla_eval::mapping(),
-            Self::Published | Self::Csv | Self::JsonLines | Self::Parquet => Mapping::default(),
+            Self::LeRobotDataset => super::lerobot::mapping(),
+            Self::Published | Self::InspectRobots | Self::Csv | Self::JsonLines | Self::Parquet => Mapping::default(),
         }
     }
 }
@@ -63,8 +78,11 @@ impl fmt::Display for Format {
 /// Maximum number of bytes that are read to recognise a JSON object.
 const FIRST_LOOK: u64 = 16 << 20;
 
-/// Recognises the format by the content of the file. The file name is not used.
+/// Recognises the format by the content of the file or folder. The file name is not used.
 pub(super) fn recognise(path: &Path) -> Result<Format, DictionaryError> {
+    if path.is_dir() {
+        return Ok(Format::LeRobotDataset);
+    }
     if start_of(path).starts_with(b"PAR1") {
         return Ok(Format::Parquet);
     }
@@ -75,7 +93,7 @@ pub(super) fn recognise(path: &Path) -> Result<Format, DictionaryError> {
         DictionaryError::results(
             path,
             format!(
-                "{what}. Expected LeRobot's eval_info.json, the aggregate JSON of vla-eval, the published JSON, CSV, JSON Lines or Parquet\nHint: if it has one of these formats, select it with --format"
+                "{what}. Expected LeRobot's eval_info.json or the folder of its dataset, the aggregate JSON of vla-eval, a log of Inspect Robots, the published JSON, CSV, JSON Lines or Parquet\nHint: if it has one of these formats, select it with --format"
             ),
         )
     };
@@ -121,6 +139,7 @@ impl<'de> Visitor<'de> for &mut Look {
                 "experiments" => Some(Format::Published),
                 "per_episode" | "per_task" => Some(Format::LeRobot),
                 "tasks" => Some(Format::VlaEval),
+                "samples" => Some(Format::InspectRobots),
                 _ => None,
             };
             let Some(format) = format else {

@@ -1,6 +1,6 @@
 //! Imports per-episode results of other tools, so policies can be judged in any simulator.
 //!
-//! Six formats are supported: LeRobot's `eval_info.json`, the aggregate JSON of vla-eval, tables (CSV, JSON Lines,
+//! These formats are supported: LeRobot's `eval_info.json` and its datasets, the aggregate JSON of vla-eval, the log of Inspect Robots, tables (CSV, JSON Lines,
 //! Parquet) with a [`Mapping`] of columns, and the CSV and JSON Lines of [`crate::export`]. A file is read twice as a
 //! stream of rows: once to find the parameters and to check every row, and once to write. Memory does not grow with the
 //! number of rows.
@@ -16,8 +16,10 @@ mod exported;
 mod flags;
 mod flat;
 mod format;
+mod inspect_robots;
 mod json_lines;
 mod lerobot;
+mod lerobot_dataset;
 mod mapping;
 mod names;
 mod numbers;
@@ -182,6 +184,8 @@ fn read(format: Format, path: &Path, sink: Sink<'_>) -> Result<Frame, Dictionary
     match format {
         Format::LeRobot => lerobot::read(path, sink),
         Format::VlaEval => vla_eval::read(path, sink),
+        Format::InspectRobots => inspect_robots::read(path, sink),
+        Format::LeRobotDataset => lerobot_dataset::read(path, sink),
         Format::Csv => csv::read(path, sink),
         Format::JsonLines => json_lines::read(path, sink),
         Format::Parquet => parquet::read(path, sink),

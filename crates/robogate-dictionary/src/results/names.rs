@@ -127,6 +127,7 @@ const SPELLINGS: [(Role, &[&str]); 5] = [
             "is_success",
             "succeeded",
             "task_success",
+            "binary_success",
             "success_rate",
             "metrics_success",
             "info_success",

@@ -241,6 +241,8 @@ impl<'a> Survey<'a> {
         let measures = self.measures(&mut roles);
         let mut task = task::of_rows(&self.mapping.about, self.declared_modes(&not_recorded), &[], Vec::new());
         task.measures = measures.iter().map(|(_, measure)| measure.clone()).collect();
+        let named = frame.metadata.get("task").and_then(serde_json::Value::as_str).and_then(Word::nearest);
+        task.name = self.mapping.about.task.or(named).unwrap_or(task.name);
         let (columns, parameters) = self.parameters(&task, &mut roles, &mut notes)?.into_iter().unzip();
         notes
             .push("Ranges are the observed ones, each row has weight 1, and the index is the row's number.".to_owned());
@@ -255,10 +257,14 @@ impl<'a> Survey<'a> {
             tool: Tool::robogate(),
             schema_version: SCHEMA_VERSION,
             build: None,
-            engine: Engine { name: word(&about.simulator, &["benchmark"]), version: None, build_sha256: None },
+            engine: Engine {
+                name: word(&about.simulator, &["benchmark", "environment_id"]),
+                version: None,
+                build_sha256: None,
+            },
             task: Arc::new(task),
-            robot: Robot { name: word(&about.robot, &[]), sha256: None, dimensions: None },
-            policy: word(&about.policy, &["model_server"]),
+            robot: Robot { name: word(&about.robot, &["embodiment", "robot_type"]), sha256: None, dimensions: None },
+            policy: word(&about.policy, &["model_server", "policy"]),
             world: None,
             space: ParameterSpace::new("imported", parameters)?,
             plan: json!({ "source_metadata": frame.metadata }),

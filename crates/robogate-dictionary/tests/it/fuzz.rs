@@ -108,6 +108,9 @@ fn targets(folder: &Folder) -> Vec<Target> {
         target("lerobot", vec![fixture("lerobot_one_environment.json"), fixture("lerobot_tasks.json")], JSON, |path| {
             import_as(path, Some(Format::LeRobot))
         }),
+        target("inspect_robots", vec![fixture("../captures/inspect_robots.json")], JSON, |path| {
+            import_as(path, Some(Format::InspectRobots))
+        }),
         target("vla_eval", vec![fixture("vla_eval.json")], JSON, |path| import_as(path, Some(Format::VlaEval))),
         target(
             "csv",
@@ -175,6 +178,7 @@ fuzzed!(
     journal,
     published,
     lerobot,
+    inspect_robots,
     vla_eval,
     csv,
     json_lines,

@@ -236,6 +236,101 @@ fn real_vla_eval_file_is_read() {
     assert_eq!((provenance.seed, provenance.policy.as_str()), (7, "S"));
 }
 
+/// Written by the JSON sink of inspect-robots 0.60.0, with trials that an operator judged, one that nobody judged and one with an error.
+#[test]
+fn operators_decide_logs_of_inspect_robots() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/captures/inspect_robots.json");
+    let (provenance, entries) = imported(&path, None, &Mapping::default());
+    let expected =
+        ["success", "max_steps", "success", "success", "max_steps", "invalid", "success", "invalid", "success"];
+    assert_eq!(words(&entries), expected);
+    let named =
+        (provenance.policy.as_str(), provenance.robot.name.as_str(), provenance.task.name.as_str(), provenance.seed);
+    assert_eq!(named, ("pi0-fold", "yam-arms", "fold-towel", 3));
+    assert_eq!(source(&provenance).format, "inspect_robots");
+    assert_eq!(entries[3].label.case.as_deref(), Some("towel-1"));
+    assert_eq!(entries[3].episode.scenario.requested.get("towel_mm"), Some(&Value::Integer(310)));
+    assert_eq!(entries[0].episode.measures.get("score_episode_length"), Some(20.0));
+    let Outcome::Invalid(fault) = &entries[7].episode.outcome else { panic!("{:?}", entries[7]) };
+    assert!(fault.detail.contains("camera lost"), "{fault:?}");
+
+    // Without an operator, its own success decides. Another version, and samples of another tool, are refused.
+    let own = fs::read_to_string(&path).unwrap().replace("\"operator\": ", "\"success_at_end\": ");
+    let own = own.replace("\"success\",", "null,").replace("\"failure\"", "null").replace("\"Yes\"", "null");
+    let folder = Folder::new("results-inspect-robots");
+    let from = folder.join("own.json");
+    fs::write(&from, own).unwrap();
+    let (_, entries) = imported(&from, None, &Mapping::default());
+    assert_eq!(entries.iter().filter(|entry| entry.episode.outcome == Outcome::Success).count(), 5);
+    let none = Mapping::default();
+    let error =
+        refused("version.json", "{\"samples\": [{\"scene_id\": \"a\", \"epochs\": []}], \"version\": 2}", &none);
+    assert!(error.contains("schema version is 2. Expected 1"), "{error}");
+    let error = refused("samples.json", "{\"samples\": [{\"id\": 1, \"scores\": {}}], \"version\": 1}", &none);
+    assert!(error.contains("has no `scene_id` or no `epochs`"), "{error}");
+}
+
+/// By hand from the schema of LeRobot (codebase version v3.0), with pandas and pyarrow.
+#[test]
+fn episodes_of_lerobot_datasets_are_rows() {
+    let Some(python) = robogate_testing::path("ROBOGATE_TEST_PYTHON", "a Python with pyarrow and pandas") else {
+        return;
+    };
+    let folder = Folder::new("results-lerobot-dataset");
+    let dataset = folder.join("dataset");
+    let output = std::process::Command::new(python).arg(fixture("lerobot_dataset.py")).arg(&dataset).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let (provenance, entries) = imported(&dataset, None, &Mapping::default());
+    assert_eq!(words(&entries), ["success", "unknown", "success", "success", "unknown", "unknown"]);
+    let lengths: Vec<f64> = entries.iter().map(|entry| entry.episode.time_s).collect();
+    assert_eq!(lengths, [2.0, 3.0, 2.5, 4.0, 1.0, 3.5]);
+    let tasks: Vec<_> = entries.iter().map(|entry| entry.label.category.clone().unwrap()).collect();
+    assert_eq!((tasks[0].as_str(), tasks[2].as_str()), ("fold the towel", "stack the cups"));
+    assert_eq!(entries[0].episode.measures.get("sum_reward"), Some(1.0));
+    assert_eq!(provenance.robot.name, "so101_follower");
+    assert_eq!(source(&provenance).format, "lerobot_dataset");
+
+    let info = dataset.join("meta/info.json");
+    let text = fs::read_to_string(&info).unwrap();
+    let to = folder.join("d.parquet");
+    let cases = [
+        (text.replace("\"total_episodes\": 6", "\"total_episodes\": 7"), "states 7 episodes, but its frames have 6"),
+        (text.replace("next.success", "next.other"), "no feature `next.success`"),
+        (text.replace("v3.0", "v1.6"), "codebase version is v1.6. Expected v2 or v3"),
+        ("[".to_owned(), "meta/info.json is not a JSON object"),
+    ];
+    for (text, expected) in cases {
+        fs::write(&info, text).unwrap();
+        let error = import(&dataset, &to, None, &Mapping::default()).unwrap_err().to_string();
+        assert!(error.contains(expected), "{expected}: {error}");
+    }
+    fs::remove_file(&info).unwrap();
+    let error = import(&dataset, &to, None, &Mapping::default()).unwrap_err().to_string();
+    assert!(error.contains("Expected the folder of a LeRobot dataset") && !to.exists(), "{error}");
+}
+
+/// One row per policy and session, with the fields that RoboArena's evaluator uploads.
+#[test]
+fn tables_of_roboarena_are_read() {
+    let folder = Folder::new("results-roboarena");
+    let path = folder.join("t.csv");
+    let header = "session_id,command,policy_name,binary_success,partial_success,duration,timestamp\n";
+    let rows: String = (0..12)
+        .map(|i| format!("s{},pick the cup,pi{},{},0.5,{},2026_01_01\n", i / 2, i % 2, u8::from(i % 3 > 0), 100 + i))
+        .collect();
+    fs::write(&path, format!("{header}{rows}")).unwrap();
+    assert_eq!(policies(&path, None, &Mapping::default()).unwrap(), ["pi0", "pi1"]);
+    let mut mapping = Mapping::default();
+    mapping.about.policy = Some("pi1".to_owned());
+    let (provenance, entries) = imported(&path, None, &mapping);
+    assert_eq!(words(&entries).iter().filter(|word| **word == "success").count(), 4);
+    assert_eq!(entries[0].episode.measures.get("partial_success"), Some(0.5));
+    assert!(
+        provenance.space.parameters().iter().any(|parameter| *parameter.name == *"session_id"),
+        "a session is a group of episodes"
+    );
+}
+
 #[test]
 fn flags_give_the_failure_mode() {
     let folder = Folder::new("results-flags");

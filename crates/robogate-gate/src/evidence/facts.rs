@@ -9,7 +9,7 @@ use sha2::{Digest, Sha256};
 
 use super::{
     AGAINST, BASELINE, DICTIONARY, EnvironmentBinding, EvidenceError, FileRecord, Manifest, PolicyBinding, Problem,
-    REQUIREMENTS, origin, question, registration,
+    REQUIREMENTS, afterwards, origin, question, registration,
 };
 use crate::{Against, Baseline, Evaluation, Question, RealEvidence, Record, Requirements, Sampling};
 
@@ -43,7 +43,9 @@ pub(super) fn evaluate(folder: &Path, sampling: Sampling, margin: Option<f64>) -
 /// Contradictions between the files and the provenance of the rows.
 pub(super) fn origin(folder: &Path, files: &[FileRecord]) -> Result<Vec<Problem>, EvidenceError> {
     let dictionary = Dictionary::open(&folder.join(DICTIONARY))?;
-    Ok(origin::problems(folder, files, dictionary.provenance()))
+    let mut problems = origin::problems(folder, files, dictionary.provenance());
+    problems.extend(afterwards::problems(folder, files, dictionary.provenance(), dictionary.dataset_hash()));
+    Ok(problems)
 }
 
 /// Creates the manifest of these files and this evaluation.

@@ -45,7 +45,17 @@ pub enum Role {
     Summary,
     /// The public key of the signer.
     PublicKey,
-    /// A document of the compliance pack, which follows from the evaluation.
+    /// What `robogate admit` found out about the deployed policy.
+    Admission,
+    /// The reference of the monitor.
+    Monitor,
+    /// A detector that warns within an episode, with its promise.
+    Warning,
+    /// What an upgrade changes.
+    Requalification,
+    /// The result of the fleet that the judged unit belongs to.
+    Fleet,
+    /// A document of the compliance pack or the safety case, which follows from the other files.
     Compliance,
     /// A file that the user added.
     Attachment,

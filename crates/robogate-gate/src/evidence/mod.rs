@@ -13,11 +13,14 @@
 //!
 //! [test-result]: https://in-toto.io/attestation/test-result/v0.1
 
+mod afterwards;
+mod coverage;
 mod draw;
 mod dsse;
 mod environment;
 mod error;
 mod facts;
+mod judged;
 mod keys;
 mod manifest;
 mod origin;
@@ -28,10 +31,13 @@ mod statement;
 mod verify;
 mod write;
 
+pub use afterwards::conditions;
+pub use coverage::Covered;
 pub use draw::random_positions;
 pub use dsse::{Envelope, Signature, pre_authentication_encoding};
 pub use environment::EnvironmentBinding;
 pub use error::{EvidenceError, Problem};
+pub use judged::Judged;
 pub use keys::{PrivateKey, PublicKey};
 pub use manifest::{FileRecord, Manifest, Role};
 pub use policy::PolicyBinding;

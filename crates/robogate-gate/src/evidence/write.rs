@@ -4,15 +4,15 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use robogate_dictionary::{Dictionary, Provenance, Tool, files};
+use robogate_dictionary::{Dictionary, Tool, files};
 
 use super::manifest::is_plain;
 use super::{
-    AGAINST, ATTESTATION, BARE_ENDING, BASELINE, DICTIONARY, EVALUATION, Envelope, EvidenceError, FileRecord, MANIFEST,
-    Manifest, PAYLOAD_TYPE, PrivateKey, QuestionBinding, REQUIREMENTS, Role, SIGNED_ENDING, SIGNER, TEST_RESULT, facts,
-    statement,
+    AGAINST, ATTESTATION, BARE_ENDING, BASELINE, DICTIONARY, EVALUATION, Envelope, EvidenceError, FileRecord, Judged,
+    MANIFEST, Manifest, PAYLOAD_TYPE, PrivateKey, QuestionBinding, REQUIREMENTS, Role, SIGNED_ENDING, SIGNER,
+    TEST_RESULT, facts, statement,
 };
-use crate::{Evaluation, RealEvidence, Sampling};
+use crate::{RealEvidence, Sampling};
 
 /// The content of a file of the evidence.
 #[derive(Debug, Clone)]
@@ -42,12 +42,12 @@ pub struct Ingredients {
     pub reasked: bool,
     /// Further files: role, path in the folder, and content.
     pub others: Vec<(Role, String, Content)>,
-    /// Documents that follow from the evaluation, in the formats of other tools. `None` for none.
+    /// Documents that follow from the other files, in the formats of other tools. `None` for none.
     pub documents: Option<Documents>,
 }
 
-/// Writes documents about an evaluation and the provenance of its rows: path in the folder, and content.
-pub type Documents = fn(&Evaluation, &Provenance) -> Vec<(String, Vec<u8>)>;
+/// Writes documents about what was judged: path in the folder, and content.
+pub type Documents = fn(&Judged<'_>) -> Vec<(String, Vec<u8>)>;
 
 /// Writes the folder of evidence `to`, which must not exist. The folder appears complete or not at all.
 pub fn write(to: &Path, ingredients: &Ingredients, key: Option<&PrivateKey>) -> Result<Manifest, EvidenceError> {
@@ -79,9 +79,15 @@ pub fn write(to: &Path, ingredients: &Ingredients, key: Option<&PrivateKey>) -> 
     written
 }
 
-fn fill(folder: &Path, ingredients: &Ingredients, key: Option<&PrivateKey>) -> Result<Manifest, EvidenceError> {
-    let mut files: BTreeMap<String, Role> = BTreeMap::new();
-    let mut add = |role: Role, name: &str, content: &Content| -> Result<(), EvidenceError> {
+/// The files of a folder that is being written.
+struct Filling<'a> {
+    folder: &'a Path,
+    roles: BTreeMap<String, Role>,
+}
+
+impl Filling<'_> {
+    /// Adds a file that the caller chose.
+    fn add(&mut self, role: Role, name: &str, content: &Content) -> Result<(), EvidenceError> {
         let reserved = [MANIFEST, EVALUATION, SIGNER].contains(&name)
             || [TEST_RESULT, ATTESTATION].iter().any(|statement| {
                 [SIGNED_ENDING, BARE_ENDING].iter().any(|ending| name == format!("{statement}{ending}"))
@@ -89,10 +95,10 @@ fn fill(folder: &Path, ingredients: &Ingredients, key: Option<&PrivateKey>) -> R
         if !is_plain(name) {
             return Err(EvidenceError::Name(name.to_owned()));
         }
-        if reserved || files.insert(name.to_owned(), role).is_some() {
+        if reserved || self.roles.insert(name.to_owned(), role).is_some() {
             return Err(EvidenceError::Twice(name.to_owned()));
         }
-        let place = folder.join(name);
+        let place = self.folder.join(name);
         if let Some(parent) = place.parent() {
             fs::create_dir_all(parent).map_err(EvidenceError::io(parent, "create"))?;
         }
@@ -107,51 +113,69 @@ fn fill(folder: &Path, ingredients: &Ingredients, key: Option<&PrivateKey>) -> R
             }
             Content::Bytes(bytes) => fs::write(&place, bytes).map_err(EvidenceError::io(&place, "write")),
         }
-    };
-    add(Role::Dictionary, DICTIONARY, &Content::File(ingredients.dictionary.clone()))?;
-    add(Role::Requirements, REQUIREMENTS, &ingredients.requirements)?;
+    }
+
+    /// Adds a file with a reserved name.
+    fn put(&mut self, role: Role, name: &str, content: &str) -> Result<(), EvidenceError> {
+        put(self.folder, name, content)?;
+        self.roles.insert(name.to_owned(), role);
+        Ok(())
+    }
+
+    /// The records of all files, of which these are known.
+    fn records(&self, known: Vec<FileRecord>) -> Result<Vec<FileRecord>, EvidenceError> {
+        let new = self.roles.iter().filter(|(path, _)| known.iter().all(|file| file.path != **path));
+        let new = new.map(|(path, role)| {
+            let place = self.folder.join(path);
+            let (bytes, sha256) = facts::digest(&place).map_err(EvidenceError::io(&place, "read"))?;
+            Ok(FileRecord { path: path.clone(), role: *role, bytes, sha256 })
+        });
+        let mut records = new.collect::<Result<Vec<_>, EvidenceError>>()?;
+        records.extend(known);
+        records.sort_by(|a, b| a.path.cmp(&b.path));
+        Ok(records)
+    }
+}
+
+fn put(folder: &Path, name: &str, content: &str) -> Result<(), EvidenceError> {
+    let path = folder.join(name);
+    fs::write(&path, content).map_err(EvidenceError::io(&path, "write"))
+}
+
+fn fill(folder: &Path, ingredients: &Ingredients, key: Option<&PrivateKey>) -> Result<Manifest, EvidenceError> {
+    let mut files = Filling { folder, roles: BTreeMap::new() };
+    files.add(Role::Dictionary, DICTIONARY, &Content::File(ingredients.dictionary.clone()))?;
+    files.add(Role::Requirements, REQUIREMENTS, &ingredients.requirements)?;
     if let Some(baseline) = &ingredients.baseline {
-        add(Role::Baseline, BASELINE, baseline)?;
+        files.add(Role::Baseline, BASELINE, baseline)?;
     }
     if let Some(real) = &ingredients.real {
-        add(Role::Real, RealEvidence::FILE, real)?;
+        files.add(Role::Real, RealEvidence::FILE, real)?;
     }
     if let Some((against, _)) = &ingredients.against {
-        add(Role::Against, AGAINST, &Content::File(against.clone()))?;
+        files.add(Role::Against, AGAINST, &Content::File(against.clone()))?;
     }
     for (role, name, content) in &ingredients.others {
-        add(*role, name, content)?;
+        files.add(*role, name, content)?;
     }
     let margin = ingredients.against.as_ref().map(|(_, margin)| *margin);
     // The copies are judged, so that verdict and folder agree.
     let evaluation = facts::evaluate(folder, ingredients.sampling, margin)?;
-    if let Some(documents) = ingredients.documents {
-        let dictionary = Dictionary::open(&folder.join(DICTIONARY))?;
-        for (name, bytes) in documents(&evaluation, dictionary.provenance()) {
-            add(Role::Compliance, &name, &Content::Bytes(bytes))?;
-        }
-    }
-    let put = |name: &str, content: &str| {
-        let path = folder.join(name);
-        fs::write(&path, content).map_err(EvidenceError::io(&path, "write"))
-    };
-    put(EVALUATION, &evaluation.to_json())?;
-    files.insert(EVALUATION.to_owned(), Role::Evaluation);
-    if let Some(key) = key {
-        put(SIGNER, &key.public().to_pem())?;
-        files.insert(SIGNER.to_owned(), Role::PublicKey);
-    }
-    let records = files
-        .into_iter()
-        .map(|(path, role)| {
-            let place = folder.join(&path);
-            let (bytes, sha256) = facts::digest(&place).map_err(EvidenceError::io(&place, "read"))?;
-            Ok(FileRecord { path, role, bytes, sha256 })
-        })
-        .collect::<Result<Vec<_>, EvidenceError>>()?;
+    files.put(Role::Evaluation, EVALUATION, &evaluation.to_json())?;
+    let mut records = files.records(Vec::new())?;
     if let Some(problem) = facts::origin(folder, &records)?.into_iter().next() {
         return Err(EvidenceError::Contradicts(problem));
     }
+    if let Some(documents) = ingredients.documents {
+        let dictionary = Dictionary::open(&folder.join(DICTIONARY))?;
+        for (name, bytes) in documents(&Judged::of(folder, &evaluation, &dictionary, &records, margin)?) {
+            files.add(Role::Compliance, &name, &Content::Bytes(bytes))?;
+        }
+    }
+    if let Some(key) = key {
+        files.put(Role::PublicKey, SIGNER, &key.public().to_pem())?;
+    }
+    records = files.records(records)?;
     let signer = key.map(|key| key.public().id());
     let manifest = facts::manifest(folder, Tool::robogate(), &evaluation, margin, signer, records)?;
     if let (QuestionBinding::Reasked { changed }, false) = (&manifest.question, ingredients.reasked) {
@@ -159,7 +183,7 @@ fn fill(folder: &Path, ingredients: &Ingredients, key: Option<&PrivateKey>) -> R
     }
     let json = manifest.to_json();
     let sha256 = facts::sha256(json.as_bytes());
-    put(MANIFEST, &json)?;
+    put(folder, MANIFEST, &json)?;
     for (name, body) in [
         (TEST_RESULT, statement::test_result(&manifest, &sha256, &evaluation)),
         (ATTESTATION, statement::evidence(&manifest, &sha256)),
@@ -167,9 +191,9 @@ fn fill(folder: &Path, ingredients: &Ingredients, key: Option<&PrivateKey>) -> R
         match key {
             Some(key) => {
                 let envelope = Envelope::sign(PAYLOAD_TYPE, body.as_bytes(), key);
-                put(&format!("{name}{SIGNED_ENDING}"), &envelope.to_json())?;
+                put(folder, &format!("{name}{SIGNED_ENDING}"), &envelope.to_json())?;
             }
-            None => put(&format!("{name}{BARE_ENDING}"), &(body + "\n"))?,
+            None => put(folder, &format!("{name}{BARE_ENDING}"), &(body + "\n"))?,
         }
     }
     Ok(manifest)

@@ -12,24 +12,27 @@ use crate::html::{block, frame, prose};
 /// The evaluation as one self-contained HTML file without scripts. `origin` are names and values that identify what was
 /// judged: versions and digests. Equal evaluations and facts give equal bytes.
 pub fn verdict_html(evaluation: &Evaluation, origin: &[(String, String)]) -> String {
-    page(evaluation, origin, None)
+    page(evaluation, origin, None, None)
 }
 
 /// The first page of a folder of evidence: [`verdict_html`], and what a reader needs who was not there. `ranges` are the parameters
-/// with their ranges, units and meanings, `unchecked` sentences on what was not checked.
+/// with their ranges, units and meanings, `unchecked` sentences on what was not checked, `safety_case` the path of the page of the safety
+/// case, if the folder has one.
 pub fn evidence_html(
     evaluation: &Evaluation,
     origin: &[(String, String)],
     ranges: Vec<Vec<String>>,
     unchecked: Vec<String>,
+    safety_case: Option<&str>,
 ) -> String {
-    page(evaluation, origin, Some((ranges, unchecked)))
+    page(evaluation, origin, Some((ranges, unchecked)), safety_case)
 }
 
 fn page(
     evaluation: &Evaluation,
     origin: &[(String, String)],
     filed: Option<(Vec<Vec<String>>, Vec<String>)>,
+    safety_case: Option<&str>,
 ) -> String {
     let word = match evaluation.verdict {
         Verdict::Pass => "PASS",
@@ -67,6 +70,9 @@ fn page(
             h1 { (word) }
             p.sub { (prose(&sentence(&format!("{}.", evaluation.because.trim_end_matches('.'))))) }
             (block(&Block::Facts(subject(evaluation))))
+            @if let Some(page) = safety_case {
+                p.text { a href=(page) { "Safety case" } ": the argument from these files to the claim that the policy may run, and what can defeat it." }
+            }
         }
         main {
             @for (title, blocks) in &sections {

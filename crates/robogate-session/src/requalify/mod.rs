@@ -68,6 +68,8 @@ pub struct Requalified {
     pub task: String,
     /// The policy before.
     pub policy: String,
+    /// SHA-256 (hex) of the rows before.
+    pub dataset_sha256: String,
     /// The upgrade, in words.
     pub upgrade: String,
     /// Engine and version on both sides. The second is unknown if it does not start.
@@ -85,6 +87,7 @@ pub struct Requalified {
 pub struct RecordedRun {
     folder: PathBuf,
     provenance: Provenance,
+    dataset_sha256: String,
     entries: Vec<Entry>,
     opening: Reopening,
     before: Side,
@@ -117,7 +120,8 @@ impl RecordedRun {
             _ => None,
         };
         let before = Side::new(|probe| Subject::recorded(&provenance, Some(folder), &opening.probed(probe)))?;
-        Ok(Self { folder: folder.to_owned(), provenance, entries, opening, before, python })
+        let dataset_sha256 = dictionary.dataset_hash().to_owned();
+        Ok(Self { folder: folder.to_owned(), provenance, dataset_sha256, entries, opening, before, python })
     }
 
     /// The packages of its Python environment.
@@ -262,6 +266,7 @@ impl RecordedRun {
         Ok(Requalified {
             task: self.provenance.task.name.to_string(),
             policy: self.provenance.policy.clone(),
+            dataset_sha256: self.dataset_sha256.clone(),
             upgrade: upgrade.to_string(),
             engines,
             packages,

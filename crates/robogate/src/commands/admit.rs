@@ -59,6 +59,15 @@ pub(crate) struct Admit {
 struct Document<'a> {
     format: u32,
     admitted: bool,
+    /// The deployed policy. Absent without a running one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    policy: Option<&'a str>,
+    /// SHA-256 (hex) of the fingerprint, by which evidence recognises the result. Absent without a running policy.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    fingerprint_sha256: Option<String>,
+    /// The same of the recorded files of the checkpoint. Absent without --checkpoint.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    checkpoint_sha256: Option<String>,
     /// The requests that were compared. Absent without a running policy, as are the three fields below.
     #[serde(skip_serializing_if = "Option::is_none")]
     requests: Option<usize>,
@@ -97,6 +106,9 @@ impl Admit {
             let document = Document {
                 format: 1,
                 admitted: differences.is_empty(),
+                policy: self.policy.as_deref(),
+                fingerprint_sha256: asked.as_ref().map(|_| self.sha256_of(FINGERPRINT)).transpose()?,
+                checkpoint_sha256: files.as_ref().map(|_| self.sha256_of(CHECKPOINT)).transpose()?,
                 requests: asked.as_ref().map(|admission| admission.requests),
                 largest_difference: asked.as_ref().and_then(|of| of.largest).filter(|largest| largest.is_finite()),
                 tolerance: asked.as_ref().map(|admission| admission.tolerance),
@@ -110,6 +122,14 @@ impl Admit {
             self.print(asked.as_ref(), files.as_ref(), &differences);
         }
         Ok(if differences.is_empty() { DONE } else { FAIL })
+    }
+
+    /// SHA-256 (hex) of a file of the judged policy.
+    fn sha256_of(&self, name: &str) -> Result<String, Exit> {
+        let path = &self.fingerprint;
+        let file = if path.is_dir() { path.join(name) } else { path.clone() };
+        let bytes = fs::read(&file).with_context(|| format!("cannot read {}", file.display())).or_usage()?;
+        Ok(hex(&Sha256::digest(&bytes)))
     }
 
     /// Compares the files of the deployed checkpoint with those that the gate recorded.

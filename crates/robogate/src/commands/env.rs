@@ -309,6 +309,7 @@ fn allowed(allowed: &Allowed) -> String {
 /// A range in words.
 pub(crate) fn domain(domain: &Domain) -> String {
     match domain {
+        Domain::Continuous { low, high, .. } if low == high => number(*low),
         Domain::Continuous { low, high, scale: Scale::Log } => format!("{} to {}, log", number(*low), number(*high)),
         Domain::Continuous { low, high, .. } => format!("{} to {}", number(*low), number(*high)),
         Domain::Integer { low, high } => format!("{low} to {high}"),

@@ -7,9 +7,7 @@ use clap::{Args, ValueEnum};
 use robogate_analysis::Source;
 use robogate_core::TaskSpec;
 use robogate_dictionary::{LostEpisode, Place, PolicyRecord, Provenance, World};
-use robogate_gate::evidence::{
-    Content, Documents, Ingredients, PrivateKey, REGISTRATION, REGISTRATION_KEY, Role, write,
-};
+use robogate_gate::evidence::{Content, Ingredients, PrivateKey, REGISTRATION, REGISTRATION_KEY, Role, write};
 use robogate_gate::{Asked, REPEATED, Record, Requirements, Sampling};
 
 use crate::commands::gate::real_evidence_for;
@@ -56,10 +54,16 @@ pub(crate) struct Evidence {
     /// Add the folder `compliance` with the verdict as a page and as JUnit, and a CycloneDX list of components (SBOM)
     #[arg(long)]
     compliance: bool,
+    /// Add the safety case: a page and an argument in Goal Structuring Notation, from the files of the evidence to the claim that the policy
+    /// may run, with what can defeat it and the clauses that it can support. Conformity is not claimed
+    #[arg(long)]
+    safety_case: bool,
     /// Sign with this private key; without one the evidence is unsigned
     #[arg(long, value_name = "PRIVATE")]
     key: Option<PathBuf>,
-    /// Add a file: suite=FILE, robot=FILE-OR-FOLDER, environment=FILE-OR-FOLDER, policy=FILE, attachment=FILE
+    /// Add a file: suite=FILE, robot=FILE-OR-FOLDER, environment=FILE-OR-FOLDER, policy=FILE, attachment=FILE; for the safety case also
+    /// what came after the gate: admission=JSON of `admit --json`, monitor=FILE of `monitor reference`, warning=FILE of `warn train`,
+    /// requalification=JSON of `requalify --json`, fleet=fleet-result.json
     #[arg(long, value_name = "ROLE=FILE")]
     include: Vec<String>,
 }
@@ -75,6 +79,15 @@ enum Count {
 
 impl Evidence {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
+        if self.run.join(FLEET).is_file() {
+            return Err(anyhow::anyhow!(
+                "{}: the folder of a fleet. Each of its units has rows and a verdict of its own\nHint: write the evidence of a unit, for \
+                 example of {}; with --safety-case it includes the result of the fleet",
+                self.run.display(),
+                self.run.join("unit-001").display()
+            ))
+            .or_usage();
+        }
         let source = open_source(&self.run)?;
         if self.run.is_dir() && place::is_within(&self.out, &self.run) {
             return Err(anyhow::anyhow!(
@@ -105,6 +118,9 @@ impl Evidence {
         }
         for include in &self.include {
             add(include, &mut others).or_usage()?;
+        }
+        if self.safety_case && !others.iter().any(|(role, ..)| *role == Role::Fleet) {
+            others.extend(fleet_of(&self.run).map(|file| (Role::Fleet, FLEET_RESULT.to_owned(), Content::File(file))));
         }
         if !others.iter().any(|(role, ..)| *role == Role::Robot) && provenance.robot.sha256.is_some() {
             match recorded_robot(provenance, source.folder()) {
@@ -156,7 +172,7 @@ impl Evidence {
             sampling: self.sampling(asked.as_ref()).or_usage()?,
             reasked: self.reasked,
             others,
-            documents: Some(if self.compliance { compliance::documents as Documents } else { compliance::index }),
+            documents: Some(compliance::documents(self.compliance, self.safety_case)),
         };
         // Read before the evaluation, so that an unusable key is reported early.
         let key = self.key.as_deref().map(PrivateKey::read).transpose()?;
@@ -231,6 +247,17 @@ impl Evidence {
     }
 }
 
+/// The plan of a fleet in its folder, and its result.
+const FLEET: &str = "fleet.json";
+const FLEET_RESULT: &str = "fleet-result.json";
+
+/// The result of the fleet that has this run as a unit, if it is finished.
+fn fleet_of(run: &Path) -> Option<PathBuf> {
+    let fleet = run.canonicalize().ok()?.parent()?.to_owned();
+    let result = fleet.join(FLEET_RESULT);
+    (fleet.join(FLEET).is_file() && result.is_file()).then_some(result)
+}
+
 /// The dictionary of a run's folder, or the dictionary file itself.
 fn dictionary(run: &Path) -> PathBuf {
     if run.is_dir() { run.join("dictionary.parquet") } else { run.to_owned() }
@@ -246,9 +273,15 @@ fn add(include: &str, others: &mut Vec<(Role, String, Content)>) -> anyhow::Resu
         "robot" => Role::Robot,
         "environment" => Role::Environment,
         "policy" => Role::Policy,
+        "admission" => Role::Admission,
+        "monitor" => Role::Monitor,
+        "warning" => Role::Warning,
+        "requalification" => Role::Requalification,
+        "fleet" => Role::Fleet,
         "attachment" => Role::Attachment,
         _ => anyhow::bail!(
-            "--include {include}: unknown role `{word}`. Expected suite, robot, environment, policy or attachment"
+            "--include {include}: unknown role `{word}`. Expected suite, robot, environment, policy, admission, monitor, warning, \
+             requalification, fleet or attachment"
         ),
     };
     let path = Path::new(path);

@@ -15,7 +15,7 @@ use crate::terminal::{foreign, grouped, note};
 
 /// Import the results of another tool as a dictionary (Parquet).
 ///
-/// Reads LeRobot's eval_info.json, the aggregate JSON of vla-eval, the published JSON dictionaries, and tables with one
+/// Reads LeRobot's eval_info.json and its datasets (a folder), the aggregate JSON of vla-eval, logs of Inspect Robots, the published JSON dictionaries, and tables with one
 /// row per episode: CSV, JSON Lines or Parquet, including those of `robogate export`. The table columns success,
 /// failure_mode, failure_type, cycle_time_s, error, seed, case, category, group and policy are recognised by name, in any
 /// spelling. Rows of several policies become one dictionary for each, OUT-POLICY.parquet. Columns whose name says reward, return, length or time are measures, and identifiers are not used. Every
@@ -24,7 +24,7 @@ use crate::terminal::{foreign, grouped, note};
 /// become invalid episodes, not failures.
 #[derive(Debug, Args)]
 pub(crate) struct Import {
-    /// File with the results
+    /// File with the results, or the folder of a LeRobot dataset
     results: PathBuf,
     /// Dictionary to write (Parquet)
     #[arg(value_parser = place::local())]
@@ -86,6 +86,10 @@ pub(crate) enum Layout {
     Lerobot,
     /// The aggregate JSON of vla-eval
     VlaEval,
+    /// The evaluation log of Inspect Robots
+    InspectRobots,
+    /// The folder of a LeRobot dataset with the feature next.success
+    LerobotDataset,
     /// Values separated by commas, semicolons or tabs, with a header
     Csv,
     /// One JSON object per line
@@ -100,6 +104,8 @@ impl From<Layout> for Format {
             Layout::Published => Self::Published,
             Layout::Lerobot => Self::LeRobot,
             Layout::VlaEval => Self::VlaEval,
+            Layout::InspectRobots => Self::InspectRobots,
+            Layout::LerobotDataset => Self::LeRobotDataset,
             Layout::Csv => Self::Csv,
             Layout::Jsonl => Self::JsonLines,
             Layout::Parquet => Self::Parquet,

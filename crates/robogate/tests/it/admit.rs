@@ -51,6 +51,34 @@ fn judged_policy_is_admitted_and_others_are_not() {
     fs::write(at.join("turned.toml"), turned).unwrap();
     verb(at, &format!("admit g1 --policy {judged} --profile turned.toml"), 1, &["action.gripper_open = \""]);
 
+    // The results are part of a safety case, and only of that of the same fingerprint.
+    fs::write(at.join("refused.json"), &refused).unwrap();
+    let admitted = verb(at, &format!("admit g1 --policy {judged} --json"), 0, &["\"fingerprint_sha256\""]);
+    fs::write(at.join("admitted.json"), &admitted).unwrap();
+    for (file, status) in [("admitted.json", "supported"), ("refused.json", "not supported")] {
+        let include = format!("admission={file}");
+        let output = robogate_in(
+            at,
+            &["evidence", "g1", file.trim_end_matches(".json"), "--safety-case", "--include", &include],
+        );
+        let argument = fs::read_to_string(at.join(file.trim_end_matches(".json")).join("safety-case.gsn.yaml"));
+        let argument = argument.unwrap_or_else(|_| panic!("{}", text(&output)));
+        let deployed = argument.split("G-deployed:\n").nth(1).unwrap();
+        assert!(deployed.lines().nth(1).unwrap().ends_with(&format!("\"{status}\"")), "{deployed}");
+        verb(at, &format!("verify {}", file.trim_end_matches(".json")), 0, &[]);
+    }
+    fs::write(
+        at.join("foreign.json"),
+        admitted.replacen("\"fingerprint_sha256\": \"", "\"fingerprint_sha256\": \"0", 1),
+    )
+    .unwrap();
+    verb(
+        at,
+        "evidence g1 foreign --include admission=foreign.json",
+        4,
+        &["about something else: `fingerprint_sha256` is"],
+    );
+
     // The files of the checkpoint, alone and beside the running policy.
     let (same, files) =
         ("admit g1 --checkpoint act", ["has the files of the judged policy", "1 file of the checkpoint"]);

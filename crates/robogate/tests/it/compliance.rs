@@ -85,7 +85,7 @@ fn forged_documents_are_found() {
         sampling: Sampling::Sequential,
         reasked: false,
         others: others.map(|file| (file.role, file.path.clone(), Content::File(at(&file.path)))).collect(),
-        documents: Some(|_, _| vec![("compliance/verdict.html".to_owned(), b"<h1>PASS</h1>".to_vec())]),
+        documents: Some(|_| vec![("compliance/verdict.html".to_owned(), b"<h1>PASS</h1>".to_vec())]),
     };
     let others = forged.others.clone();
     // Consistent in all hashes and statements: only the document itself shows that it is not that of the evaluation.
@@ -201,13 +201,77 @@ fn operating_domain_agrees_with_openodd() {
             "com_offset": 0.0, "placement": "center_0", "ik_noise_rad": 0.0 })
     };
     fs::write(&points, serde_json::to_string(&(0..10_000).map(point).collect::<Vec<_>>()).unwrap()).unwrap();
+    let found = evaluated(&python, &domain, &points);
+    assert_eq!(found, (0..10_000).map(inside).collect::<Vec<bool>>());
+}
+
+/// Whether each point is in the domain, as openodd-py decides.
+fn evaluated(python: &Path, domain: &Path, points: &Path) -> Vec<bool> {
     let program = "import json, sys, pathlib, openodd\n\
         odd = openodd.load_openodd(pathlib.Path(sys.argv[1]), name='x')\n\
         print(json.dumps([odd.evaluate(point).inside for point in json.load(open(sys.argv[2]))]))";
-    let output = std::process::Command::new(python).args(["-c", program]).arg(&domain).arg(&points).output().unwrap();
+    let output = std::process::Command::new(python).args(["-c", program]).arg(domain).arg(points).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let found: Vec<bool> = serde_json::from_slice(&output.stdout).unwrap();
-    assert_eq!(found, (0..10_000).map(inside).collect::<Vec<bool>>());
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+/// Names, words and numbers of any kind: the other reader decides as the space does.
+#[test]
+fn any_operating_domain_agrees_with_openodd() {
+    let Some(python) = robogate_testing::path("ROBOGATE_TEST_PYTHON", "a Python with openodd-py") else { return };
+    let dir = TempDir::new().unwrap();
+    let at = |name: &str| dir.path().join(name);
+    let space = r##"
+        name = "any: \"space\""
+        [[parameter]]
+        name = "tiny_m"
+        kind = "continuous"
+        low = 1e-9
+        high = 3e-7
+        scale = "log"
+        [[parameter]]
+        name = "below"
+        kind = "continuous"
+        low = -2.5
+        high = -0.0
+        [[parameter]]
+        name = "large_n"
+        kind = "continuous"
+        low = 1e5
+        high = 1.5e17
+        [[parameter]]
+        name = "count"
+        kind = "integer"
+        low = -3
+        high = 4
+        [[parameter]]
+        name = "word"
+        kind = "categorical"
+        choices = ["yes", "no", "1", "null", "a, b", "[x]", "été", "quote\"d", "#"]
+    "##;
+    let space = robogate_core::ParameterSpace::from_toml(space).unwrap();
+    fs::write(at("x.odd.yaml"), robogate_gate::operating_domain(space.name(), space.parameters())).unwrap();
+    let words = ["yes", "no", "1", "null", "a, b", "[x]", "été", "quote\"d", "#", "other", "a", "x"];
+    let mut expected = Vec::new();
+    let mut points = Vec::new();
+    for i in 0..10_000_u32 {
+        let share = |step: u32| f64::from(i.wrapping_mul(step) % 1_009) / 1_000.0;
+        let (tiny_m, below) = (1e-9 + share(7) * 2.99e-7, -2.5 + share(13) * 2.5);
+        let (large_n, count) = (1e5 + share(29) * 1.5e17, i64::from(i % 10) - 4);
+        let word = words[(i % 37) as usize % words.len()];
+        let inside = tiny_m <= 3e-7
+            && below <= 0.0
+            && large_n <= 1.5e17
+            && (-3..=4).contains(&count)
+            && (i % 37) as usize % words.len() < 9;
+        expected.push(inside);
+        points.push(
+            serde_json::json!({ "tiny_m": tiny_m, "below": below, "large_n": large_n, "count": count, "word": word }),
+        );
+    }
+    assert!(expected.iter().filter(|inside| **inside).count() > 4_000);
+    fs::write(at("points.json"), serde_json::to_string(&points).unwrap()).unwrap();
+    assert_eq!(evaluated(&python, &at("x.odd.yaml"), &at("points.json")), expected);
 }
 
 #[test]

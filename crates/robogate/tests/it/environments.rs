@@ -98,6 +98,14 @@ fn own_environment_runs_from_one_file() {
     bench.robogate("resume two", 0, &[]);
     bench.robogate("run --env reach.py --space space.toml --policy random -n 30 --out random", 0, &["random policy"]);
     bench.robogate("gate --env reach.py --out gate --threads 2", 1, &["FAIL"]);
+    bench.robogate("evidence gate evidence --safety-case", 1, &[]);
+    bench.robogate("verify evidence", 0, &[]);
+    let argument = fs::read_to_string(bench.at("evidence/safety-case.gsn.yaml")).unwrap();
+    let of = |name: &str| argument.split(&format!("\n{name}:\n")).nth(1).unwrap().lines().nth(1).unwrap().to_owned();
+    assert!(
+        of("G-requirements").ends_with("\"not supported\"") && of("CG-other-environment").ends_with("\"open\""),
+        "{argument}"
+    );
     bench.robogate("run --env reach.py --policy expert -n 30", 2, &["declares no such policy", "steer"]);
     bench.robogate("run --env missing.py -n 30", 2, &["missing.py: no such file"]);
     bench.robogate("run --env nothing:here -n 30", 2, &["no such environment", "metaworld"]);

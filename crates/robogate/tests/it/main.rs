@@ -58,6 +58,7 @@ mod rank;
 mod rare;
 mod requalify;
 mod runs;
+mod safety_case;
 mod settings;
 mod shards;
 mod signatures;

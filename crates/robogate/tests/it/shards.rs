@@ -210,6 +210,16 @@ fn real_trials_decide_gates_on_any_executor() {
         let found: Value = serde_json::from_slice(&fs::read(one.join(out).join("gate.json")).unwrap()).unwrap();
         assert_eq!(found["ruled_out"], serde_json::json!({ "planned": 576, "requirement": "real:success" }));
     }
+    // The safety case says what the trials show about the simulation.
+    for (run, code, gap, cell) in [("run", 0, "answered", "supported"), ("weak", 3, "open", "undeveloped")] {
+        verb(one, &format!("evidence {run} {run}-evidence --safety-case"), code, &[]);
+        verb(one, &format!("verify {run}-evidence"), 0, &[]);
+        let argument = fs::read_to_string(one.join(format!("{run}-evidence/safety-case.gsn.yaml"))).unwrap();
+        let of =
+            |name: &str| argument.split(&format!("\n{name}:\n")).nth(1).unwrap().lines().nth(1).unwrap().to_owned();
+        assert_eq!(of("CG-simulation"), format!("  status: \"{gap}\""));
+        assert_eq!(of("G-cell"), format!("  status: \"{cell}\""));
+    }
     verb(one, "gate --run weak --real strong.json", 0, &["note: the run's gate used 50 real trials", "PASS"]);
     verb(one, "evidence weak evidence --real strong.json", 2, &["the real trials differ", "--reasked"]);
 }

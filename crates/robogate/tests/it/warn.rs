@@ -75,6 +75,28 @@ fn detector_is_trained_checked_and_calibrated_again() {
     assert_eq!(successes("quiet_successes") + successes("warned_successes"), 1, "{heard}");
     assert_eq!(last["rejected_lines"], 2, "{heard}");
 
+    // The promise is a part of the safety case of the run, and not of that of another policy.
+    fs::write(
+        at.join("half.toml"),
+        "name = \"half\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"success\"\nat_least = 0.2\n",
+    )
+    .unwrap();
+    let line = "evidence r1 e --requirements half.toml --safety-case --include warning=w.json";
+    verb(at, line, 0, &[]);
+    verb(at, "verify e", 0, &[]);
+    let argument = fs::read_to_string(at.join("e/safety-case.gsn.yaml")).unwrap();
+    let warning = argument.split("\nG-warning-1:\n").nth(1).unwrap();
+    assert!(warning.starts_with("  text: \"A detector warns within an episode, and warns at most 5.0 %"), "{warning}");
+    assert!(warning.contains("status: \"supported\""), "{warning}");
+    let other = fs::read_to_string(at.join("w.json")).unwrap().replacen("scripted", "other", 1);
+    fs::write(at.join("other.json"), other).unwrap();
+    verb(
+        at,
+        "evidence r1 wrong --requirements half.toml --include warning=other.json",
+        4,
+        &["conditions/policy` is other"],
+    );
+
     // Errors of the user.
     verb(at, "warn train r1 --out w.json --parameters mass", 2, &["mass_kg"]);
     verb(at, "warn train r1 --out w.json --event jam", 2, &["MODE=MEASURE>LIMIT"]);

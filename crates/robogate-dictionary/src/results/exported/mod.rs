@@ -52,7 +52,12 @@ impl Table {
         Ok(match format {
             Format::Csv => csv::Rows::open(path)?.map(Self::Csv),
             Format::JsonLines => json_lines::Rows::open(path)?.map(Self::JsonLines),
-            Format::Published | Format::LeRobot | Format::VlaEval | Format::Parquet => None,
+            Format::Published
+            | Format::LeRobot
+            | Format::VlaEval
+            | Format::InspectRobots
+            | Format::LeRobotDataset
+            | Format::Parquet => None,
         })
     }
 

@@ -9,6 +9,7 @@ use clap::Args;
 use robogate_campaign::folder::DICTIONARY;
 use robogate_core::{Assignment, Domain, ParameterSpace, Scenario, Signals, Value, Word};
 use robogate_dictionary::{Dictionary, Entry, Provenance, hex};
+use robogate_gate::evidence;
 use robogate_monitor::warn::{Conditions, EventRule, KnownParameter, MOST_SIGNALS, Track};
 use robogate_session::{Reopening, SIGNALS, Subject, Workers, read_signals};
 use robogate_stats::format::count;
@@ -192,26 +193,8 @@ fn key(requested: &Assignment) -> u64 {
 
 /// The conditions of episodes.
 fn conditions(provenance: &Provenance) -> Conditions {
-    let short = |sha256: Option<String>| {
-        sha256.map_or_else(String::new, |digest| format!(" (sha256 {})", &digest[..digest.len().min(12)]))
-    };
-    let task = &provenance.task;
-    let changed = task.changed_settings();
-    let suite = provenance.plan.pointer("/suite/suite/name").and_then(serde_json::Value::as_str);
-    let space = serde_json::to_vec(&provenance.space).unwrap_or_default();
-    let digest = hex(&Sha256::digest(space));
-    let population = match suite {
-        Some(suite) => format!("suite {suite}"),
-        None => format!("space {} (sha256 {})", provenance.space.name(), &digest[..12]),
-    };
-    let version = provenance.engine.version.as_deref().unwrap_or_default();
-    Conditions {
-        task: format!("{} {}{}{changed}", task.name, task.version, if changed.is_empty() { "" } else { " with " }),
-        engine: format!("{} {version}", provenance.engine.name).trim_end().to_owned(),
-        robot: format!("{}{}", provenance.robot.name, short(provenance.robot.sha256.clone())),
-        policy: format!("{}{}", provenance.policy, short(provenance.policy_sha256())),
-        population,
-    }
+    let [task, engine, robot, policy, population] = evidence::conditions(provenance).map(|(_, text)| text);
+    Conditions { task, engine, robot, policy, population }
 }
 
 /// A rule such as `jam=peak_contact_force_n>100`.
