@@ -239,6 +239,7 @@ fn surrogate(out: &mut impl Write, simulation: &Source, reality: &str) -> Result
         incomplete: 0,
         ignored: Vec::new(),
         has_modes: false,
+        names_policy: false,
     };
     let all = model.predictions(&trials)?;
     let outcomes = trials.outcomes();

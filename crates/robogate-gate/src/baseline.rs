@@ -1,5 +1,6 @@
 //! The baseline that relative requirements refer to.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use robogate_core::budget::{Budget, JsonError};
@@ -47,6 +48,10 @@ pub struct Baseline {
     pub invalid: u64,
     /// The figures. A metric without a value is absent.
     pub figures: Vec<BaselineFigure>,
+    /// Settings of the task, engine and robot, which decide what a figure means. Those of a run that is compared must be equal where both
+    /// are known.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub conditions: BTreeMap<String, String>,
 }
 
 impl Baseline {
@@ -78,6 +83,7 @@ impl Baseline {
             valid,
             invalid: rounds.trials().count() as u64 - valid,
             figures: figures.collect(),
+            conditions: record.conditions.fixed(),
         })
     }
 
@@ -131,12 +137,16 @@ impl Baseline {
         serde_json::to_string_pretty(self).unwrap_or_default() + "\n"
     }
 
-    /// Returns an error if the population differs.
-    pub(crate) fn check(&self, population: &Population) -> Result<(), GateError> {
-        if self.population.is_that_of(population) {
-            Ok(())
-        } else {
-            Err(GateError::ForeignBaseline { baseline: self.population.to_string(), run: population.to_string() })
+    /// Returns an error if the population or the conditions of the episodes differ.
+    pub(crate) fn check(&self, record: &Record) -> Result<(), GateError> {
+        let population = &record.population;
+        if !self.population.is_that_of(population) {
+            let (baseline, run) = (self.population.to_string(), population.to_string());
+            return Err(GateError::ForeignBaseline { baseline, run });
+        }
+        match record.conditions.other_than(&self.conditions) {
+            Some(differences) => Err(GateError::OtherConditions { differences }),
+            None => Ok(()),
         }
     }
 }

@@ -3,6 +3,8 @@
 //! Two runs can have the same scenarios and seeds and still ask different questions. A comparison of two policies under different
 //! settings, engines or robots is refused. Differences that can belong to a policy or to its upgrade are named.
 
+use std::collections::BTreeMap;
+
 use robogate_core::{SettingSpec, TaskSpec};
 use robogate_dictionary::{Place, Provenance};
 
@@ -46,6 +48,17 @@ impl Conditions {
     /// What must agree and differs, in words. `None` if nothing does.
     pub(crate) fn contradiction(&self, other: &Self) -> Option<String> {
         Some(differences(&self.fixed, &other.fixed)).filter(|found| !found.is_empty()).map(|found| found.join("; "))
+    }
+
+    /// What must agree, by its name.
+    pub(crate) fn fixed(&self) -> BTreeMap<String, String> {
+        self.fixed.iter().cloned().collect()
+    }
+
+    /// How these conditions differ from the fixed ones of a baseline. `None` where they agree in all that both know.
+    pub(crate) fn other_than(&self, fixed: &BTreeMap<String, String>) -> Option<String> {
+        let before: Vec<(String, String)> = fixed.iter().map(|(name, value)| (name.clone(), value.clone())).collect();
+        Some(differences(&before, &self.fixed)).filter(|found| !found.is_empty()).map(|found| found.join("; "))
     }
 
     /// What may differ and does, in words.

@@ -339,7 +339,7 @@ impl Question<'_> {
         requirements.check()?;
         let record = &*requirements.fit(record)?;
         if let Some(baseline) = self.baseline {
-            baseline.check(&record.population)?;
+            baseline.check(record)?;
         }
         if let Some(real) = &record.real {
             real.check_subject(record)?;

@@ -117,7 +117,7 @@ impl Leaderboard {
     ) -> Result<Self, GateError> {
         let Some((_, first, _)) = entries.first() else { return Err(GateError::NothingToRank) };
         if let Some(baseline) = baseline {
-            baseline.check(&first.population)?;
+            baseline.check(first)?;
         } else if let Some(term) = terms.iter().find(|term| term.scoring.needs_baseline()) {
             return Err(GateError::NoBaseline { what: format!("the score's term `{}`", term.name) });
         }

@@ -253,6 +253,7 @@ fn problems_have_lines_and_hints() {
         ("sets = \"drawer.joint.friction\"", "sets = \"cabinet.joint.friction\"", "`cabinet` has no `joint.friction`"),
         ("name = \"stick_n\"", "name = \"stick_m\"", "`stick_m` ends with the unit m, but its value is in N"),
         ("range = \"0.5, 8 kg\"", "range = \"8, 0.5 kg\"", "expected the smaller value first"),
+        ("range = \"0.5, 8 kg\"", "range = \"-0.5, 8 kg\"", "the smallest possible value is 0.0001 kg"),
         ("range = \"0.5, 8 kg\"", "range = \"3, 8 kg\"", "the value in the file, 2 kg, is outside of the range"),
         ("in = \"cabinet\"", "in = \"cabint\"", "unknown body `cabint`: did you mean `cabinet`?"),
         ("name = \"drawer\"", "name = \"cabinet\"", "a second body or region `cabinet`"),

@@ -381,6 +381,9 @@ impl Transfer {
         hear(TransferStep::Simulated { episodes, endings: &endings });
         let policy = options.policy.as_deref().unwrap_or(&source.dictionary().provenance().policy);
         let trials = RealTrials::open(real, simulation.space(), &options.groups, policy)?;
+        if options.policy.is_some() && !trials.names_policy {
+            return Err(no(format!("{} has no column `policy`, so --policy has no effect", real.display())));
+        }
         hear(TransferStep::Trials(&trials.trials));
         if trials.trials.is_empty() {
             let names: Vec<String> = trials.outside_in.iter().cloned().collect();

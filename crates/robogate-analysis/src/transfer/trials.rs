@@ -46,6 +46,8 @@ pub struct RealTrials {
     pub ignored: Vec<String>,
     /// Whether the file has a column of failure modes.
     pub has_modes: bool,
+    /// Whether the file names the policy of each trial.
+    pub names_policy: bool,
 }
 
 /// One trial.
@@ -158,8 +160,14 @@ fn check_policy(
     policy: &str,
 ) -> Result<(), AnalysisError> {
     let Some(at) = header.iter().position(|name| POLICY.contains(&name.to_lowercase().as_str())) else { return Ok(()) };
-    let named = |row: &&(u64, Vec<String>)| !MISSING.contains(&row.1[at].to_lowercase().as_str());
-    let mut rows = rows.iter().filter(named);
+    if let Some((line, _)) = rows.iter().find(|row| MISSING.contains(&row.1[at].to_lowercase().as_str())) {
+        return Err(wrong(
+            path,
+            *line,
+            "a trial without the name of its policy\nHint: fill in the column `policy`, or remove it",
+        ));
+    }
+    let mut rows = rows.iter();
     let Some((first, names)) = rows.next() else { return Ok(()) };
     let name = &names[at];
     if let Some((line, other)) = rows.find(|row| row.1[at] != *name) {
@@ -300,6 +308,7 @@ impl RealTrials {
             one_setting,
             ignored,
             has_modes: mode.is_some(),
+            names_policy: header.iter().any(|name| POLICY.contains(&name.to_lowercase().as_str())),
         })
     }
 

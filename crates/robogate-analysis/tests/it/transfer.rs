@@ -183,6 +183,20 @@ fn missing_parameters_are_averaged() {
 }
 
 #[test]
+fn trials_of_another_policy_are_refused() {
+    let folder = TempDir::new().unwrap();
+    let sim = simulation(&folder);
+    let policy = robogate_analysis::Source::open(&sim).unwrap().dictionary().provenance().policy.clone();
+    let of = |name: &str| trials(20, "", ",policy", |_| format!(",{name}"));
+    assert!(transfer(&sim, &of(&policy), &[]).is_ok());
+    let other = transfer(&sim, &of("new"), &[]).unwrap_err().to_string();
+    assert!(other.contains("a trial of the policy `new`") && other.contains("--policy new"), "{other}");
+    let two = trials(20, "", ",policy", |at| if at % 2 == 0 { ",a".to_owned() } else { ",b".to_owned() });
+    let two = transfer(&sim, &two, &[]).unwrap_err().to_string();
+    assert!(two.contains("give the trials of one policy"), "{two}");
+}
+
+#[test]
 fn repeated_settings_are_groups() {
     let folder = TempDir::new().unwrap();
     let once = trials(20, "", "", |_| String::new());

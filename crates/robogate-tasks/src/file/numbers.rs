@@ -102,6 +102,28 @@ impl Placed {
 }
 
 impl Target {
+    /// The smallest value that it can have in physics.
+    pub(super) fn least(self) -> f64 {
+        match self {
+            Self::Friction => 0.01,
+            Self::Distance(_) | Self::Part(_, PartTarget::Size) => 1e-3,
+            Self::Part(_, PartTarget::Mass) => 1e-4,
+            Self::Part(
+                _,
+                PartTarget::Spread
+                | PartTarget::Spin
+                | PartTarget::Damping
+                | PartTarget::DryFriction
+                | PartTarget::Stiffness,
+            ) => 0.0,
+            Self::Part(_, PartTarget::Placed(_) | PartTarget::Start | PartTarget::Rest)
+            | Self::Value(_)
+            | Self::Gravity
+            | Self::Fixture(..)
+            | Self::Speed(_) => f64::NEG_INFINITY,
+        }
+    }
+
     /// The number that it sets. `None` for a value, and for a joint that a part does not have.
     pub(super) fn number(self, numbers: &mut Numbers) -> Option<&mut f64> {
         match self {

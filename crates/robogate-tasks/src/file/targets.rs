@@ -54,6 +54,15 @@ impl Reading<'_, '_> {
             }
         };
         let range = self.range(&table.range, dimension)?;
+        if range[0] < target.least() {
+            let why = format!(
+                "`{}`: the smallest possible value is {} {}",
+                table.range.text,
+                target.least(),
+                dimension.unit()
+            );
+            self.problems.of(&table.range, why.trim_end().to_owned());
+        }
         let nominal = match (&table.nominal, target.get(nominal)) {
             (Some(text), _) => self.number(text, dimension, range)?,
             (None, Some(value)) if (range[0]..=range[1]).contains(&value) => value,

@@ -73,6 +73,30 @@ fn attack_works_without_the_rule() {
     assert!(wins > 60, "{wins} of 200");
 }
 
+/// Failures that are corrected to successes gain nothing: the test counts the first result against the claim.
+#[test]
+fn corrections_do_not_win() {
+    let secret = Secret::draw().unwrap();
+    let judge = Judge::new(&plan(Question::Better, &["a", "b"], 60, &secret)).unwrap();
+    let mut wins = 0;
+    for study in 0..200 {
+        let stream = &mut Seed::campaign(8).episode(study).stream("corrections");
+        let mut results = Vec::new();
+        for _ in 0..60 {
+            let [a, b] = [0, 1].map(|_| stream.uniform() < 0.7);
+            let corrected = !a && stream.uniform() < 0.8;
+            let success = vec![Some(a || corrected), Some(b)];
+            results.push(BlockResults { success, repeated: vec![0; 2], first: vec![corrected.then_some(false), None] });
+            let decision = judge.decision(&results);
+            if decision.is_final() {
+                wins += u64::from(decision.answer == Verdict::Best(0));
+                break;
+            }
+        }
+    }
+    assert!(wins <= 10, "{wins} of 200");
+}
+
 #[test]
 fn best_of_four_is_found() {
     let secret = Secret::draw().unwrap();

@@ -197,6 +197,34 @@ fn imports_that_repeat_cases_apply_to_these_cases() {
     assert!(found["population"].get("cases").is_none() && found.get("new_cases").is_none(), "{found}");
 }
 
+/// Two policies under two time limits are two questions. Other settings than the default stand with the verdict.
+#[test]
+fn policies_under_other_settings_are_not_compared() {
+    let dir = TempDir::new().unwrap();
+    let at = dir.path();
+    let gate = "gate --task pendulum --policy random --rounds 1 --seed 3 --controls 0";
+    let requirements = "name = 'r'\nmode = 'point'\n[[requirement]]\nmetric = 'success'\nat_least = 0.0\n";
+    fs::write(at.join("r.toml"), requirements).unwrap();
+    let changed = "Settings of the task that were changed: time_limit_s = 3";
+    verb(at, &format!("{gate} --requirements r.toml --set time_limit_s=3 --out short"), 0, &[changed]);
+    let other =
+        ["the two policies were not judged alike: time_limit_s: 3 and", "Hint: run both with the same settings"];
+    verb(at, &format!("{gate} --requirements r.toml --baseline short --margin 0.9 --out long"), 2, &other);
+    verb(at, "gate --run short --requirements r.toml --write-baseline short.json", 0, &[changed]);
+    verb(at, &format!("{gate} --requirements r.toml --baseline short.json --out long"), 2, &other[..1]);
+    verb(at, "evidence short evidence", 0, &[]);
+    verb(at, "verify evidence", 0, &[changed, "success at least 0.00 %"]);
+    // A question that was changed after the start is not that of the run.
+    let question = at.join("short/gate-question.json");
+    let text = fs::read_to_string(&question).unwrap();
+    fs::write(
+        &question,
+        text.replacen("\"at_least\":0.0", "\"at_least\":0.1", 1).replacen("\"at_least\": 0.0", "\"at_least\": 0.1", 1),
+    )
+    .unwrap();
+    verb(at, "gate --run short", 2, &["not the question that the gate was asked"]);
+}
+
 /// A gate that did not pass says under which limits the requirement holds, which mode costs most and what separates failures; where
 /// nothing does, how many episodes would show a difference. Imported rows are enough.
 #[test]

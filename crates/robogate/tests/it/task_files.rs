@@ -31,6 +31,59 @@ fn guide_leads_to_verdict() {
     verb(dir.path(), "tasks init my_drawer", 2, &["task.toml exists", "Hint: name another folder"]);
 }
 
+/// A sash of 1 kg on a slide with more dry friction than its weight stays where it is, without and with less it falls.
+#[test]
+fn dry_friction_holds_a_joint() {
+    let dir = TempDir::new().unwrap();
+    let at = dir.path();
+    fs::create_dir(at.join("sash")).unwrap();
+    let write = |range: &str| {
+        let text = format!(
+            r#"format = "robogate-task/1"
+name = "sash"
+version = 1
+summary = "A sash on a slide"
+instruction = "wait"
+time_limit = "8 s"
+[[fixture]]
+name = "post"
+at = "55, -20, 0 cm"
+shapes = [ {{ box = "6, 6, 12 cm", at = "0, 0, 6 cm" }} ]
+[[part]]
+name = "sash"
+in = "post"
+at = "0, 0, 30 cm"
+mass = "1 kg"
+shapes = [ {{ box = "20, 3, 2 cm", at = "-10, 0, 0 cm" }} ]
+[part.joint]
+kind = "slide"
+axis = "-z"
+range = "0, 10 cm"
+friction = "12 N"
+[[parameter]]
+name = "stick_n"
+sets = "sash.joint.friction"
+range = "{range}"
+nominal = "12 N"
+meaning = "dry friction of the slide"
+[success]
+when = "joint(sash) > 5 mm for 0.1 s"
+[expert]
+do = ["wait(7 s)"]
+"#
+        );
+        fs::write(
+            at.join("sash/task.toml"),
+            text.replace("nominal = \"12 N\"\n", if range.starts_with('1') { "" } else { "nominal = \"4 N\"\n" }),
+        )
+        .unwrap();
+    };
+    write("12, 60 N");
+    verb(at, "run --task sash -n 6 --design uniform --seed 2 --out holds", 0, &["success  0.0 %", "0 of 6"]);
+    write("0, 6 N");
+    verb(at, "run --task sash -n 6 --design uniform --seed 2 --out falls", 0, &["success 100.0 %", "6 of 6"]);
+}
+
 /// The record of a run contains its task: replay, evidence and rerun need no folder.
 #[test]
 fn record_contains_task() {

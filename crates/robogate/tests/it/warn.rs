@@ -42,6 +42,7 @@ fn detector_is_trained_checked_and_calibrated_again() {
     let (rank, n) = (&document["calibration"]["rank"], document["calibration"]["successes"].as_u64().unwrap());
     assert!(n >= 59 && rank.as_u64().unwrap() <= n, "{answer}");
 
+    verb(at, "warn check w.json r1", 2, &["its episodes trained this detector", "Hint: check it on another run"]);
     let checked = robogate_in(at, &["warn", "check", "w.json", "r2"]);
     assert!(matches!(checked.status.code(), Some(0 | 3)), "{}", text(&checked));
     assert!(text(&checked).contains("independent successes warned"), "{}", text(&checked));
