@@ -4,7 +4,7 @@
 //! columns that the user names, and from equal settings. If nothing identifies clusters, a test of neighbouring rows
 //! looks for dependence in the order of the file; if it rejects, blocks of neighbouring rows are clusters.
 
-use robogate_dictionary::results::{SOURCE_SEED, groups_rows};
+use robogate_dictionary::results::{SOURCE_SEED, follows_order, groups_rows};
 use robogate_stats::clusters::{
     Clusters, FEWEST, Grouping, LOW_POWER, NEIGHBOURS, RateByCluster, Setting, coarsest_first, equal_settings,
 };
@@ -250,8 +250,9 @@ fn setting(column: &ParameterColumn) -> Setting<'_> {
 
 /// Blocks of neighbouring rows, and the p-value of the test, if rows depend on their neighbours.
 fn neighbours(base: &Sample) -> Option<(f64, Clusters)> {
-    let columns: Vec<&[f64]> = base.parameters.iter().map(|column| column.values.as_slice()).collect();
+    let explains = base.parameters.iter().filter(|column| !follows_order(&column.name));
+    let columns: Vec<&[f64]> = explains.clone().map(|column| column.values.as_slice()).collect();
     let numeric: Vec<&[f64]> =
-        base.parameters.iter().filter(|column| column.is_numeric()).map(|column| column.values.as_slice()).collect();
+        explains.filter(|column| column.is_numeric()).map(|column| column.values.as_slice()).collect();
     blocks_of_neighbours(&base.success, &columns, &numeric)
 }

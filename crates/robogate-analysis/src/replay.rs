@@ -165,7 +165,7 @@ pub fn same_subject(provenance: &Provenance) -> String {
         Place::Cell(cell) => {
             add("task", provenance.task.name.as_str());
             add("robot", &cell.robot);
-            if cell.engine == "rapier" && !cell.physics_servers {
+            if cell.engine != "mujoco" && !cell.physics_servers {
                 add("engine", &cell.engine);
             }
         }

@@ -9,7 +9,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use robogate_core::Value;
-use robogate_dictionary::results::{SOURCE_SEED, groups_rows, names_scenario, only_identifies};
+use robogate_dictionary::results::{SOURCE_SEED, follows_order, groups_rows, names_scenario, only_identifies};
 use robogate_stats::Interval;
 use robogate_stats::bounded_mean::{BoundedMean, OutOfBounds};
 use robogate_stats::clusters::{Clusters, FEWEST, Grouping, NEIGHBOURS, coarsest_first};
@@ -107,7 +107,8 @@ fn neighbours(trials: &[Trial]) -> Option<Clusters> {
         };
         trials.iter().map(number).collect()
     };
-    let columns: Vec<Vec<f64>> = names.into_iter().filter(|name| !only_identifies(name)).filter_map(numbers).collect();
+    let explains = |name: &&str| !only_identifies(name) && !follows_order(name);
+    let columns: Vec<Vec<f64>> = names.into_iter().filter(explains).filter_map(numbers).collect();
     let columns: Vec<&[f64]> = columns.iter().map(Vec::as_slice).collect();
     blocks_of_neighbours(&success, &columns, &columns).map(|(_, blocks)| blocks)
 }

@@ -3,15 +3,14 @@
 //! The statistic is the sum of squares of the sums of [`LAG`] neighbouring residuals. Under the hypothesis that rows can be
 //! exchanged, it is compared with that of permuted rows; sampling stops as soon as the p-value is clearly large.
 //!
-//! Limit: a test that does not reject proves nothing. Of eight days with rates that differ by a standard deviation of 0.4 on the logit scale, 60
+//! Limit: an effect in a narrow band of a column that drifts with the order can look like dependence (19 of 100 files of 480 rows): the
+//! intervals are then too wide. A test that does not reject proves nothing. Of eight days with rates that differ by a standard deviation of 0.4 on the logit scale, 60
 //! rows each, it finds about half. Source of the sequential p-value: Besag and Clifford (1991), Biometrika 78(2).
 
 use rand_chacha::ChaCha8Rng;
 use rand_core::SeedableRng;
 
-use crate::Confidence;
 use crate::clusters::Clusters;
-use crate::correlation::spearman;
 use crate::logistic::{Data, Options, fit, standardized};
 use crate::resample::shuffle;
 
@@ -28,10 +27,7 @@ const LEVEL: f64 = 0.01;
 const SORTED: f64 = 0.98;
 /// Most levels of a column by which a file counts as sorted.
 const MOST_LEVELS: u64 = 25;
-/// Rank correlation of a column with the order of the rows from which its effect is modelled in pieces: an effect with a sharp edge would
-/// otherwise look like dependence.
-const ORDERED: f64 = 0.5;
-/// Pieces of such an effect.
+/// Pieces of the effect of a column by which the rows are sorted: one with a sharp edge would otherwise look like dependence.
 const PIECES: usize = 8;
 /// Most rows of the test of neighbouring rows.
 const MOST_ROWS: usize = 100_000;
@@ -77,14 +73,8 @@ fn statistic(residuals: &[f64]) -> f64 {
 pub fn blocks_of_neighbours(success: &[bool], columns: &[&[f64]], numeric: &[&[f64]]) -> Option<(f64, Clusters)> {
     let rows = success.len().min(MOST_ROWS);
     let changes = success[..rows].windows(2).filter(|pair| pair[0] != pair[1]).count();
-    let sorted = |column: &&[f64]| {
-        let steps = column[..rows].windows(2).map(|pair| pair[1] - pair[0]);
-        let (up, down) =
-            steps.fold((0, 0), |(up, down), step| (up + u64::from(step > 0.0), down + u64::from(step < 0.0)));
-        let changes = up + down;
-        // A sweep has a few levels. A clock, a counter or a battery has many.
-        (1..MOST_LEVELS).contains(&changes) && up.max(down) as f64 >= SORTED * changes as f64
-    };
+    // A sweep has a few levels.
+    let sorted = |column: &&[f64]| changes_in_order(&column[..rows]).is_some_and(|changes| changes < MOST_LEVELS);
     if rows < 2 * LAG || changes <= 2 || columns.iter().any(sorted) {
         return None;
     }
@@ -94,14 +84,19 @@ pub fn blocks_of_neighbours(success: &[bool], columns: &[&[f64]], numeric: &[&[f
     (p <= LEVEL).then(|| (p, Clusters::of_labels((0..success.len()).map(|row| row / size))))
 }
 
+/// The number of changes from row to row in a column whose rows are in its order. `None` if they are not.
+fn changes_in_order(column: &[f64]) -> Option<u64> {
+    let steps = column.windows(2).map(|pair| pair[1] - pair[0]);
+    let (up, down) = steps.fold((0, 0), |(up, down), step| (up + u64::from(step > 0.0), down + u64::from(step < 0.0)));
+    (up + down > 0 && up.max(down) as f64 >= SORTED * (up + down) as f64).then_some(up + down)
+}
+
 /// Outcomes less a smooth model of the columns, in units of their standard deviation.
 fn residuals(success: &[bool], numeric: &[&[f64]]) -> Vec<f64> {
     let rows = success.len();
     let mut columns: Vec<Vec<f64>> = Vec::new();
-    let order: Vec<f64> = (0..rows).map(|row| row as f64).collect();
     for line in numeric.iter().take(MODELLED).filter_map(|column| standardized(column)) {
-        let ordered = spearman(&line, &order, Confidence::P95).is_ok_and(|found| found.r.abs() > ORDERED);
-        if ordered {
+        if changes_in_order(&line).is_some() {
             let mut sorted = line.clone();
             sorted.sort_by(f64::total_cmp);
             let knots = (1..PIECES).map(|piece| sorted[piece * rows / PIECES]);
@@ -161,13 +156,8 @@ mod tests {
     fn drifting_column_does_not_hide_dependent_rows() {
         // A room that warms up by 2.4 degrees, read with noise.
         let warm = |row: usize, rng: &mut ChaCha8Rng| 18.0 + row as f64 / 200.0 + uniform(rng);
-        let clock = |row: usize, rng: &mut ChaCha8Rng| row as f64 + uniform(rng);
-        for found in [found(0.29, warm), found(0.29, clock)] {
-            assert!(found >= 75, "{found}");
-        }
-        for found in [found(0.0, warm), found(0.0, clock)] {
-            assert!(found <= 4, "{found}");
-        }
+        assert!(found(0.29, warm) >= 88, "{}", found(0.29, warm));
+        assert!(found(0.0, warm) <= 4, "{}", found(0.0, warm));
         // A sweep: the order is that of a setting.
         assert_eq!(found(0.29, |row, _| (row / 48) as f64), 0);
     }
@@ -178,7 +168,7 @@ mod tests {
         let step = |x: f64| if x < 0.5 { 0.9 } else { 0.4 };
         let band = |x: f64| if (0.4..0.6).contains(&x) { 0.3 } else { 0.9 };
         for (effect, noise, most) in
-            [(&slope as &dyn Fn(f64) -> f64, 0.4, 4), (&step, 0.0, 10), (&band, 0.0, 25), (&band, 0.4, 6)]
+            [(&slope as &dyn Fn(f64) -> f64, 0.4, 4), (&step, 0.0, 10), (&band, 0.0, 25), (&band, 0.4, 30)]
         {
             let mut blocks = 0;
             for seed in 0..100 {

@@ -40,7 +40,7 @@ use std::sync::Arc;
 use aggregates::Aggregates;
 pub use format::Format;
 pub use mapping::{About, Mapping};
-pub use names::{groups_rows, names_scenario};
+pub use names::{follows_order, groups_rows, names_scenario};
 use policies::Policies;
 pub use policies::policies;
 pub use role::Role;

@@ -215,6 +215,31 @@ pub fn groups_rows(name: &str) -> bool {
     }) && shared == 1
 }
 
+/// Whether the name says that the value follows the order of the episodes: a time, or a count of them. No effect of it is known, so it
+/// explains nothing.
+pub fn follows_order(name: &str) -> bool {
+    const WORDS: [&str; 17] = [
+        "time",
+        "timestamp",
+        "clock",
+        "hour",
+        "minute",
+        "date",
+        "datetime",
+        "elapsed",
+        "uptime",
+        "cycle",
+        "cycles",
+        "count",
+        "counter",
+        "trial",
+        "battery",
+        "uhrzeit",
+        "zeit",
+    ];
+    plain(name).split('_').any(|word| WORDS.contains(&word))
+}
+
 /// Whether the name is that of the number of a recorded start, such as `init_state_id`.
 fn is_initial_state(plain: &str) -> bool {
     let of = |known: &[&str]| plain.split('_').any(|word| known.contains(&word));
@@ -381,6 +406,12 @@ mod tests {
     fn times_of_what_is_shared_group_nothing() {
         for name in ["date_time", "experimenter", "tester_id", "operator", "Labeler", "Bediener", "schicht_nr"] {
             assert!(groups_rows(name), "{name}");
+        }
+        for name in ["time_of_day", "battery_percent", "Uhrzeit", "CycleCount"] {
+            assert!(follows_order(name), "{name}");
+        }
+        for name in ["mass_kg", "temp_c", "lifetime", "friction"] {
+            assert!(!follows_order(name), "{name}");
         }
         for name in ["robot_time", "cell_time", "session_time", "person", "room", "mass"] {
             assert!(!groups_rows(name), "{name}");

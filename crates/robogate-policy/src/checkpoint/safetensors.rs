@@ -91,7 +91,8 @@ fn entries(header: &[u8], size: u64) -> Option<Vec<(String, Entry)>> {
 fn tensor(file: &mut impl Read, entry: Entry) -> io::Result<Tensor> {
     let mut left = entry.data_offsets[1] - entry.data_offsets[0];
     let width = width(&entry.dtype);
-    let is_small = width.is_some_and(|width| left > 0 && left <= (SMALL * width) as u64 && left % width as u64 == 0);
+    let is_small =
+        width.is_some_and(|width| left > 0 && left <= (SMALL * width) as u64 && left.is_multiple_of(width as u64));
     let (mut hash, mut kept) = (Sha256::new(), Vec::new());
     let mut buffer = vec![0; 1 << 16];
     while left > 0 {

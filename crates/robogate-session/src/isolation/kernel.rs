@@ -230,22 +230,19 @@ fn refused() -> anyhow::Result<Calls> {
     let (own, thread) = (u64::from(id()), libc::CLONE_THREAD as u64);
     let fast_open = libc::MSG_FASTOPEN as u64;
     let other = |argument: u8| [(argument, SeccompCmpOp::Ne, 0), (argument, SeccompCmpOp::Ne, own)];
-    let conditional: [(i64, &[Condition]); 16] = [
+    let conditional: [(i64, &[Condition]); 12] = [
         // A new process. Threads are allowed.
         (libc::SYS_clone, &[(0, SeccompCmpOp::MaskedEq(thread), 0)]),
         // Signals and limits of other processes.
         (libc::SYS_kill, &other(0)),
         (libc::SYS_tgkill, &[(0, SeccompCmpOp::Ne, own)]),
         (libc::SYS_prlimit64, &other(0)),
-        // Priorities and processors of other processes, of groups and of users.
+        // Priorities of other processes, of groups and of users. Calls for the scheduler of a thread stay allowed: libraries make them for
+        // their own threads, whose numbers no filter can know.
         (libc::SYS_setpriority, &[(0, SeccompCmpOp::Ne, u64::from(libc::PRIO_PROCESS))]),
         (libc::SYS_setpriority, &other(1)),
         (libc::SYS_ioprio_set, &[(0, SeccompCmpOp::Ne, 1)]),
         (libc::SYS_ioprio_set, &other(1)),
-        (libc::SYS_sched_setaffinity, &other(0)),
-        (libc::SYS_sched_setscheduler, &other(0)),
-        (libc::SYS_sched_setparam, &other(0)),
-        (libc::SYS_sched_setattr, &other(0)),
         (libc::SYS_setpgid, &[(1, SeccompCmpOp::Ne, 0)]),
         // Data that connect a socket.
         (libc::SYS_sendto, &[(3, SeccompCmpOp::MaskedEq(fast_open), fast_open)]),

@@ -73,7 +73,7 @@ fn registered_runs_are_verified_and_run_again() {
     let strict = ["verify", &evidence, "--key", &public, "--require-signed", "--require-registered", "--seed", "7"];
     let printed = run(&[&strict[..], &["--rerun", "3"]].concat(), 0);
     assert!(printed.starts_with("verification passed: verdict pass\n"), "{printed}");
-    for part in ["policy: built into robogate", "as number 2 of key", "registrations 1", "rerun: 3 of 4 rows"] {
+    for part in ["policy: built into robogate", "as number 2 of key", "registration 1:", "rerun: 3 of 4 rows"] {
         assert!(printed.contains(part), "{part}: {printed}");
     }
     let printed = run(&["verify", &evidence, "--rerun", "1000"], 0);
