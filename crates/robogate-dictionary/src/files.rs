@@ -1,7 +1,7 @@
 //! Files and folders that survive a power failure: complete or absent.
 
 use std::ffi::OsString;
-use std::fs::{self, File, Metadata};
+use std::fs::{self, File, Metadata, TryLockError};
 use std::io::ErrorKind::{PermissionDenied, ResourceBusy};
 use std::io::{self, Write};
 use std::os::unix::fs::MetadataExt;
@@ -76,10 +76,15 @@ impl Part {
     fn of(path: &Path) -> io::Result<Self> {
         static NEXT: AtomicU64 = AtomicU64::new(0);
         let usual = partial_path(path)?;
-        // A file without a lock is that of a killed process. A link is removed, because it could name any file.
-        let is_left = |it: Metadata| !it.is_file() || File::open(&usual).is_ok_and(|file| file.try_lock().is_ok());
-        if fs::symlink_metadata(&usual).is_ok_and(is_left) {
-            let _ = fs::remove_file(&usual);
+        if let Ok(there) = fs::symlink_metadata(&usual) {
+            // A file without a lock is that of a killed process. The lock is held until it is removed, so that a process that has just
+            // made it does not take it for its own. A link is removed, because it could name any file.
+            let left =
+                if there.is_file() { File::open(&usual).ok().filter(|file| file.try_lock().is_ok()) } else { None };
+            let is_same = |file: &File| file.metadata().is_ok_and(|own| is_at(&own, &usual));
+            if !there.is_file() || left.as_ref().is_some_and(is_same) {
+                let _ = fs::remove_file(&usual);
+            }
         }
         let created = |path: PathBuf| File::create_new(&path).map(|file| Self { path, file });
         let mut part = match created(usual.clone()) {
@@ -90,10 +95,9 @@ impl Part {
             }
             made => made?,
         };
-        let _ = part.file.try_lock();
-        // Another process may have taken it for a left one before it was locked.
-        let own = part.file.metadata()?;
-        if fs::symlink_metadata(&part.path).is_ok_and(|it| (it.dev(), it.ino()) == (own.dev(), own.ino())) {
+        // Another process may have taken it for a left one before it was locked: it holds the lock, or has removed the file.
+        let is_taken = matches!(part.file.try_lock(), Err(TryLockError::WouldBlock));
+        if !is_taken && is_at(&part.file.metadata()?, &part.path) {
             return Ok(part);
         }
         part.path.clear();
@@ -122,6 +126,11 @@ impl Drop for Part {
     fn drop(&mut self) {
         let _ = fs::remove_file(&self.path);
     }
+}
+
+/// Whether this file is the one at this path.
+fn is_at(own: &Metadata, path: &Path) -> bool {
+    fs::symlink_metadata(path).is_ok_and(|it| (it.dev(), it.ino()) == (own.dev(), own.ino()))
 }
 
 /// Creates a folder with its missing parents, so that they survive a power failure.
