@@ -54,6 +54,9 @@ pub(crate) struct Admit {
     json: bool,
 }
 
+/// The largest fingerprint, and the largest record of a checkpoint.
+const MOST_BYTES: u64 = 64 << 20;
+
 /// The document of `--json`.
 #[derive(Debug, Serialize)]
 struct Document<'a> {
@@ -260,6 +263,10 @@ fn not_of_its_evidence(folder: &Path) -> Result<Option<String>, Exit> {
         let path = folder.join(name);
         if !path.exists() {
             continue;
+        }
+        let metadata = fs::metadata(&path).with_context(|| format!("cannot read {name}")).or_usage()?;
+        if !metadata.is_file() || metadata.len() > MOST_BYTES {
+            return Ok(Some(format!("{name} is not a file of at most 64 MiB")));
         }
         let bytes = fs::read(&path).with_context(|| format!("cannot read {name}")).or_usage()?;
         let listed = manifest.files.iter().find(|file| file.path == name);
