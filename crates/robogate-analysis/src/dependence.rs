@@ -60,8 +60,8 @@ pub(crate) struct Dependence {
 }
 
 impl Dependence {
-    /// The clusters of `base`. `groups` are columns that the user names. Scenarios that are strata are no clusters. `None` if rows are
-    /// independent as far as known.
+    /// The clusters of `base`. `groups` are columns that the user names. Scenarios that are strata are not clusters. `None` if
+    /// nothing indicates that rows depend on each other.
     pub(crate) fn of(
         table: &EpisodeTable,
         base: &Sample,

@@ -146,8 +146,7 @@ pub const HERE: &str = ".";
 
 /// Quotes a text as one word for a POSIX shell.
 pub fn shell_word(text: &str) -> String {
-    let plain =
-        |c: char| c.is_alphanumeric() || matches!(c, '/' | '\\' | ':' | '.' | '_' | '-' | '=' | ',' | '@' | '+');
+    let plain = |c: char| c.is_ascii_alphanumeric() || "_-./:,@%+=".contains(c);
     if !text.is_empty() && text.chars().all(plain) {
         text.to_owned()
     } else {

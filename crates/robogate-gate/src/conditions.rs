@@ -31,15 +31,15 @@ impl Conditions {
         }
         fixed.push(("engine".to_owned(), provenance.engine.name.clone()));
         fixed.push(("robot".to_owned(), provenance.robot.name.clone()));
-        let json = |value: Option<String>| value.unwrap_or_else(|| "none".to_owned());
+        let or_none = |value: Option<String>| value.unwrap_or_else(|| "none".to_owned());
         let mut stated = vec![
-            ("version of the engine".to_owned(), json(provenance.engine.version.clone())),
-            ("robot's files".to_owned(), json(provenance.robot.sha256.clone())),
-            ("latency".to_owned(), json(world.execution.as_ref().and_then(|of| serde_json::to_string(of).ok()))),
-            ("stress".to_owned(), json(world.stress.as_ref().and_then(|of| serde_json::to_string(of).ok()))),
+            ("version of the engine".to_owned(), or_none(provenance.engine.version.clone())),
+            ("robot's files".to_owned(), or_none(provenance.robot.sha256.clone())),
+            ("latency".to_owned(), or_none(world.execution.as_ref().and_then(|of| serde_json::to_string(of).ok()))),
+            ("stress".to_owned(), or_none(world.stress.as_ref().and_then(|of| serde_json::to_string(of).ok()))),
         ];
         if let Place::Python(python) = &world.place {
-            stated.push(("environment's file".to_owned(), json(python.sha256.clone())));
+            stated.push(("environment's file".to_owned(), or_none(python.sha256.clone())));
             stated.extend(python.packages.iter().map(|(name, version)| (format!("package {name}"), version.clone())));
         }
         Self { fixed, stated }
@@ -47,7 +47,7 @@ impl Conditions {
 
     /// What must agree and differs, in words. `None` if nothing does.
     pub(crate) fn contradiction(&self, other: &Self) -> Option<String> {
-        Some(differences(&self.fixed, &other.fixed)).filter(|found| !found.is_empty()).map(|found| found.join("; "))
+        in_words(differences(pairs(&self.fixed), &other.fixed))
     }
 
     /// What must agree, by its name.
@@ -57,8 +57,7 @@ impl Conditions {
 
     /// How these conditions differ from the fixed ones of a baseline. `None` where they agree in all that both know.
     pub(crate) fn other_than(&self, fixed: &BTreeMap<String, String>) -> Option<String> {
-        let before: Vec<(String, String)> = fixed.iter().map(|(name, value)| (name.clone(), value.clone())).collect();
-        Some(differences(&before, &self.fixed)).filter(|found| !found.is_empty()).map(|found| found.join("; "))
+        in_words(differences(fixed.iter(), &self.fixed))
     }
 
     /// What may differ and does, in words.
@@ -67,7 +66,7 @@ impl Conditions {
             let missing = one.stated.iter().filter(|(name, _)| !other.stated.iter().any(|(known, _)| known == name));
             missing.map(|(name, value)| format!("{name}: {value}, {words}")).collect()
         };
-        let both = differences(&self.stated, &other.stated);
+        let both = differences(pairs(&self.stated), &other.stated);
         let unknown = self.stated.is_empty() || other.stated.is_empty();
         let others = if unknown {
             Vec::new()
@@ -78,14 +77,24 @@ impl Conditions {
     }
 }
 
+/// Names and values.
+fn pairs(conditions: &[(String, String)]) -> impl Iterator<Item = (&String, &String)> {
+    conditions.iter().map(|(name, value)| (name, value))
+}
+
+/// `None` without a difference.
+fn in_words(differences: Vec<String>) -> Option<String> {
+    (!differences.is_empty()).then(|| differences.join("; "))
+}
+
 /// What differs between the conditions of A and those of B.
-fn differences(a: &[(String, String)], b: &[(String, String)]) -> Vec<String> {
+fn differences<'a>(a: impl Iterator<Item = (&'a String, &'a String)>, b: &[(String, String)]) -> Vec<String> {
     let short = |value: &str| match value.len() {
         // The start of a hash tells two of them apart.
         64 if value.bytes().all(|byte| byte.is_ascii_hexdigit()) => format!("SHA-256 {}...", &value[..12]),
         _ => value.to_owned(),
     };
-    let differing = a.iter().filter_map(|(name, one)| {
+    let differing = a.filter_map(|(name, one)| {
         let (_, two) = b.iter().find(|(known, two)| known == name && two != one)?;
         Some(format!("{name}: {} and {}", short(one), short(two)))
     });
@@ -100,10 +109,7 @@ fn shown(setting: &SettingSpec) -> String {
 
 /// The settings of a task that are not those that it has by default: they decide what counts as a success.
 pub(crate) fn changed_settings(task: &TaskSpec) -> Vec<String> {
-    let changed = task
-        .settings
-        .iter()
-        .filter(|setting| setting.value.is_some() && setting.default.is_some() && setting.value != setting.default);
+    let changed = task.settings.iter().filter(|setting| setting.is_changed());
     changed
         .map(|setting| {
             let default = setting.default.as_ref().map_or_else(String::new, ToString::to_string);

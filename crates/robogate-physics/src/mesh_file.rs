@@ -182,7 +182,7 @@ impl Reader {
     /// Adds the triangles of a flat polygon.
     fn polygon(&mut self, mut corners: Vec<u32>) -> Result<(), String> {
         let at = |index: u32| self.read.vertices[index as usize].coords;
-        // Newell's normal: twice the area, whatever the shape.
+        // Newell's method: a normal whose length is twice the area. It holds for polygons that are not convex too.
         let pairs = || corners.iter().zip(corners.iter().cycle().skip(1));
         let origin = at(corners[0]);
         let normal: Vector3<f64> = pairs().map(|(a, b)| (at(*a) - origin).cross(&(at(*b) - origin))).sum();

@@ -82,6 +82,9 @@ impl Subject {
     }
 }
 
+/// The largest fingerprint, and the largest record of a checkpoint.
+pub const MOST_FINGERPRINT_BYTES: u64 = 64 << 20;
+
 /// The fingerprint in a file, or in the folder of a gate or of its evidence. Nothing in it is contacted or started.
 pub fn read_fingerprint(path: &Path) -> Result<Fingerprint, Failure> {
     let file = if path.is_dir() { path.join(FINGERPRINT) } else { path.to_owned() };
@@ -92,11 +95,9 @@ pub fn read_fingerprint(path: &Path) -> Result<Fingerprint, Failure> {
         ))
         .or_request();
     }
-    /// As large as a fingerprint may be.
-    const MOST_BYTES: u64 = 64 << 20;
     let about = || format!("cannot read {}", file.display());
     let metadata = fs::metadata(&file).with_context(about).or_request()?;
-    if !metadata.is_file() || metadata.len() > MOST_BYTES {
+    if !metadata.is_file() || metadata.len() > MOST_FINGERPRINT_BYTES {
         return Err(anyhow!("{}: not a file of at most 64 MiB", file.display())).or_request();
     }
     let bytes = fs::read(&file).with_context(about).or_request()?;

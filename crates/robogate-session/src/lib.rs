@@ -70,7 +70,7 @@ pub use controls::{CONTROL_EPISODES, run_controls};
 pub use environment_choice::EnvironmentChoice;
 pub use environments::{BUNDLED, ENVIRONMENT, Interpreter, Servers, installed, installed_marker};
 pub use failure::{Failure, FailureKind, OrFailure, chain};
-pub use fingerprint::{CHECKPOINT, FINGERPRINT, checkpoint, read_checkpoint, read_fingerprint};
+pub use fingerprint::{CHECKPOINT, FINGERPRINT, MOST_FINGERPRINT_BYTES, checkpoint, read_checkpoint, read_fingerprint};
 pub use fleet::{FleetEnd, FleetPlan, FleetRequest, OnUnit, is_fleet, unit_space};
 pub use gate::{GateRequest, Look, MARGIN, SAMPLED_SCENARIOS, begun, question, rounds_and_sampling, with_plan};
 pub use hopeless::{Reaction, Watched};

@@ -53,7 +53,7 @@ impl LoadedPolicy {
 
     /// The folders that a process reads to load it. Beside a file are its statistics and settings.
     pub(crate) fn folders(&self) -> Vec<PathBuf> {
-        let (path, arguments) = parts(self.from.split_once(':').map_or("", |(_, named)| named));
+        let (path, arguments) = parts(named(&self.from));
         let files = arguments.filter_map(|argument| argument.strip_prefix(STATISTICS));
         let paths = std::iter::once(path).chain(files).map(Path::new);
         paths.map(|path| if path.is_file() { path.parent().unwrap_or(path) } else { path }.to_owned()).collect()
@@ -67,7 +67,12 @@ impl LoadedPolicy {
 
 /// The path in a name such as `lerobot:FOLDER?argument`.
 pub(crate) fn loaded_path(from: &str) -> &str {
-    parts(from.split_once(':').map_or(from, |(_, named)| named)).0
+    parts(named(from)).0
+}
+
+/// What follows the kind of policy.
+fn named(from: &str) -> &str {
+    from.split_once(':').map_or(from, |(_, named)| named)
 }
 
 /// The path of a policy, and its arguments.

@@ -4,6 +4,7 @@ use std::borrow::Cow;
 use std::fmt::Display;
 use std::path::Path;
 
+use robogate_analysis::shell_word;
 use robogate_stats::format::is_deceptive;
 
 /// Formats text from a file or a file name on one line, with control characters escaped.
@@ -41,9 +42,7 @@ pub fn escaped(text: &str, kept: impl Fn(&str) -> Option<usize>) -> Cow<'_, str>
 
 /// A path as one word of a shell command.
 pub fn quoted(path: &Path) -> String {
-    let text = path.display().to_string();
-    let plain = |c: char| c.is_ascii_alphanumeric() || "_-./:,@%+=".contains(c);
-    if !text.is_empty() && text.chars().all(plain) { text } else { format!("'{}'", text.replace('\'', "'\\''")) }
+    shell_word(&path.display().to_string())
 }
 
 #[cfg(test)]

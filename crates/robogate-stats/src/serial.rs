@@ -4,8 +4,9 @@
 //! exchanged, it is compared with that of permuted rows; sampling stops as soon as the p-value is clearly large.
 //!
 //! Limit: an effect in a narrow band of a column that drifts with the order can look like dependence (19 of 100 files of 480 rows): the
-//! intervals are then too wide. A test that does not reject proves nothing. Of eight days with rates that differ by a standard deviation of 0.4 on the logit scale, 60
-//! rows each, it finds about half. Source of the sequential p-value: Besag and Clifford (1991), Biometrika 78(2).
+//! intervals are then too wide. A test that does not reject proves nothing. Of eight days with rates that differ by a standard deviation of
+//! 0.4 on the logit scale, 60 rows each, it finds about half. Source of the sequential p-value: Besag and Clifford (1991), Biometrika
+//! 78(2).
 
 use rand_chacha::ChaCha8Rng;
 use rand_core::SeedableRng;

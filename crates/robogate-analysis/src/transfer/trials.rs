@@ -152,14 +152,8 @@ fn inside(domain: &Domain, value: f64) -> bool {
     }
 }
 
-/// Rejects trials of another policy, and of several.
-fn check_policy(
-    path: &Path,
-    header: &[String],
-    rows: &[(u64, Vec<String>)],
-    policy: &str,
-) -> Result<(), AnalysisError> {
-    let Some(at) = header.iter().position(|name| POLICY.contains(&name.to_lowercase().as_str())) else { return Ok(()) };
+/// Rejects trials of another policy, and of several. `at` is the column with the name of the policy.
+fn check_policy(path: &Path, at: usize, rows: &[(u64, Vec<String>)], policy: &str) -> Result<(), AnalysisError> {
     if let Some((line, _)) = rows.iter().find(|row| MISSING.contains(&row.1[at].to_lowercase().as_str())) {
         return Err(wrong(
             path,
@@ -199,7 +193,9 @@ impl RealTrials {
     /// The first problem in the file, with its line.
     pub fn open(path: &Path, space: &ParameterSpace, groups: &[String], policy: &str) -> Result<Self, AnalysisError> {
         let Rows { sha256, header, rows } = read(path)?;
-        check_policy(path, &header, &rows, policy)?;
+        let is_policy = |name: &String| POLICY.contains(&name.to_lowercase().as_str());
+        let policy_at = header.iter().position(is_policy);
+        policy_at.map_or(Ok(()), |at| check_policy(path, at, &rows, policy))?;
         let place = |name: &str| header.iter().position(|column| column == name);
         let Some(success) = place("success") else {
             let found = header.join(", ");
@@ -227,7 +223,7 @@ impl RealTrials {
                 || Some(i) == mode
                 || columns.contains(&Some(i))
                 || names.contains(&header[i])
-                || POLICY.contains(&header[i].to_lowercase().as_str())
+                || is_policy(&header[i])
                 || header[i].is_empty()
         };
         let ignored = (0..header.len()).filter(|i| !used(*i)).map(|i| header[i].clone()).collect();
@@ -308,7 +304,7 @@ impl RealTrials {
             one_setting,
             ignored,
             has_modes: mode.is_some(),
-            names_policy: header.iter().any(|name| POLICY.contains(&name.to_lowercase().as_str())),
+            names_policy: policy_at.is_some(),
         })
     }
 

@@ -61,9 +61,10 @@ fn numbers(path: &Path) -> Result<(Numbers, Vec<Option<&'static str>>), Dictiona
             continue;
         }
         for (field, column) in table.record.iter().map(str::trim).zip(&mut columns) {
-            evidence.take(line, units::parts(field).map_or(field, |(number, _)| number));
+            let parts = units::parts(field);
+            evidence.take(line, parts.map_or(field, |(number, _)| number));
             if !is_missing(field) {
-                column.take(line, field, Evidence::may_be_number);
+                column.take(line, field, parts.map(|(_, unit)| unit), Evidence::may_be_number);
             }
         }
     }

@@ -20,7 +20,7 @@ use crate::raw::{RawRow, Scalar};
 
 /// The words that Inspect Robots reads as "the trial succeeded" (`is_affirmative_verdict`).
 const SUCCESSES: [&str; 6] = ["success", "pass", "yes", "y", "1", "true"];
-/// The score that repeats the operator's judgement, with 0 where there is none.
+/// The score that repeats the operator's judgement. It is 0 for a trial without a judgement.
 const OPERATOR: &str = "operator";
 /// The scores that are a success of their own, the first one first.
 const OWN: [&str; 2] = ["success_at_end", "reached_goal_state"];

@@ -79,11 +79,11 @@ pub(super) struct Column {
 }
 
 impl Column {
-    /// Takes a field that is not missing. `is_number` says whether it is a number without a unit.
-    pub(super) fn take(&mut self, line: u64, text: &str, is_number: impl Fn(&str) -> bool) {
-        match parts(text) {
+    /// Takes a field that is not missing, with its unit, see [`parts`]. `is_number` says whether it is a number without a unit.
+    pub(super) fn take(&mut self, line: u64, text: &str, unit: Option<&'static str>, is_number: impl Fn(&str) -> bool) {
+        match unit {
             // A number that cannot be read stays a word.
-            Some((_, unit)) => match self.unit {
+            Some(unit) => match self.unit {
                 None => self.unit = Some((unit, line)),
                 Some((known, _)) if known != unit => self.other = self.other.or(Some((unit, line))),
                 Some(_) => {}
@@ -122,7 +122,9 @@ mod tests {
 
     fn decided(fields: &[&str]) -> Result<Option<&'static str>, String> {
         let mut column = Column::default();
-        (2..).zip(fields).for_each(|(line, field)| column.take(line, field, |text| text.parse::<f64>().is_ok()));
+        for (line, field) in (2..).zip(fields) {
+            column.take(line, field, parts(field).map(|(_, unit)| unit), |text| text.parse::<f64>().is_ok());
+        }
         column.decide(&"humidity".into())
     }
 

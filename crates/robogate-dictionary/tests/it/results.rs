@@ -236,7 +236,7 @@ fn real_vla_eval_file_is_read() {
     assert_eq!((provenance.seed, provenance.policy.as_str()), (7, "S"));
 }
 
-/// Written by the JSON sink of inspect-robots 0.60.0, with trials that an operator judged, one that nobody judged and one with an error.
+/// Written by the JSON sink of inspect-robots 0.60.0, with trials that an operator judged, a trial without a judgement and a trial with an error.
 #[test]
 fn operators_decide_logs_of_inspect_robots() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/captures/inspect_robots.json");

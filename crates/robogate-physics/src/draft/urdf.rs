@@ -5,14 +5,8 @@ const MANY_TURNS: f64 = 4.0 * std::f64::consts::PI;
 
 /// The velocity limit of a joint, in rad/s. MuJoCo does not read it.
 pub(super) fn velocity(text: &str, joint: &str) -> Option<f64> {
-    let start = [format!("name=\"{joint}\""), format!("name='{joint}'")]
-        .iter()
-        .flat_map(|name| text.match_indices(name.as_str()).map(|(at, _)| at).collect::<Vec<_>>())
-        .find(|at| text[..*at].trim_end().ends_with("<joint"))?;
-    let element = text[start..].split("</joint>").next()?;
-    let value = element.split("velocity=").nth(1)?;
-    let quote = value.chars().next().filter(|quote| "\"'".contains(*quote))?;
-    value[1..].split(quote).next()?.trim().parse().ok().filter(|speed: &f64| *speed > 0.0 && speed.is_finite())
+    let element = elements(text, "joint").find(|element| attribute(element, "name") == Some(joint))?;
+    number(limit(element), "velocity").filter(|speed| *speed > 0.0 && speed.is_finite())
 }
 
 /// What the model does not state and MuJoCo fills in, and what is likely in another unit.
@@ -29,9 +23,7 @@ pub(super) fn guesses(text: &str) -> Vec<String> {
         ));
     }
     for joint in elements(text, "joint").filter(|element| attribute(element, "type") == Some("revolute")) {
-        let limit = joint.split("<limit").nth(1).and_then(|rest| rest.split('>').next()).unwrap_or_default();
-        let ends =
-            ["lower", "upper"].map(|end| attribute(limit, end).and_then(|value| value.trim().parse::<f64>().ok()));
+        let ends = ["lower", "upper"].map(|end| number(limit(joint), end));
         if let (Some(name), [Some(low), Some(high)]) = (attribute(joint, "name"), ends)
             && low.abs().max(high.abs()) > MANY_TURNS
         {
@@ -49,6 +41,16 @@ fn elements<'a>(text: &'a str, name: &'a str) -> impl Iterator<Item = &'a str> {
         let rest = &text[at..];
         rest[start.len()..].starts_with(char::is_whitespace).then(|| rest.split(&end).next().unwrap_or(rest))
     })
+}
+
+/// The limit of a joint, empty without one.
+fn limit(joint: &str) -> &str {
+    joint.split("<limit").nth(1).and_then(|rest| rest.split('>').next()).unwrap_or_default()
+}
+
+/// The first attribute of this name as a number.
+fn number(element: &str, name: &str) -> Option<f64> {
+    attribute(element, name)?.trim().parse().ok()
 }
 
 /// The first attribute of this name.

@@ -280,6 +280,7 @@ fn hashed(path: &Path) -> io::Result<(u64, String)> {
     }
 }
 
-fn hex(hash: Sha256) -> String {
+/// The SHA-256 in lower-case hexadecimal.
+pub(crate) fn hex(hash: Sha256) -> String {
     hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
 }

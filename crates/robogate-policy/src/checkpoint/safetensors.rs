@@ -57,11 +57,10 @@ pub(super) fn read(path: &Path, most: usize) -> io::Result<Option<Tensors>> {
     }
     let mut header = vec![0; length as usize];
     file.read_exact(&mut header)?;
-    let Some(mut entries) = entries(&header, size - 8 - length) else { return Ok(None) };
+    let Some(entries) = entries(&header, size - 8 - length) else { return Ok(None) };
     if entries.len() > most {
         return Ok(None);
     }
-    entries.sort_by_key(|(_, entry)| entry.data_offsets);
     let mut found = Tensors::new();
     for (name, entry) in entries {
         let tensor = tensor(&mut file, entry)?;
@@ -70,7 +69,7 @@ pub(super) fn read(path: &Path, most: usize) -> io::Result<Option<Tensors>> {
     Ok(Some(found))
 }
 
-/// The entries of a header, whose tensors lie one after the other up to the end of the file, as the format requires.
+/// The entries of a header in the order of their tensors, which lie one after the other up to the end of the file, as the format requires.
 fn entries(header: &[u8], size: u64) -> Option<Vec<(String, Entry)>> {
     let fields: BTreeMap<String, Value> = HEADER.json(header).ok()?;
     let entries = fields.into_iter().filter(|(name, _)| name != "__metadata__");

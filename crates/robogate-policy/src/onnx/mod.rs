@@ -27,6 +27,7 @@ use serde_json::{Value as Json, json};
 use sha2::{Digest, Sha256};
 
 use super::array::{Array, Dtype};
+use super::checkpoint::hex;
 use super::connection::Connection;
 use super::deadline::Deadline;
 use super::error::PolicyError;
@@ -237,7 +238,7 @@ fn cannot_load(why: &str) -> String {
 fn load(path: &str, profile: &Profile) -> Result<(Runnable, Description), PolicyError> {
     let invalid = |why: String| PolicyError::File { path: path.to_owned(), why };
     let bytes = read(path).map_err(invalid)?;
-    let sha256: String = Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect();
+    let sha256 = hex(Sha256::new_with_prefix(&bytes));
     let parsed = catch_panics(|| parse(&bytes)).and_then(|mut model| {
         let inputs = fix_inputs(&mut model, profile)?;
         Ok((model, inputs))

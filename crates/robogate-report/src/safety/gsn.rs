@@ -40,8 +40,7 @@ impl SafetyCase {
         yaml.text("because", &claim.because);
         let strategy = format!("S-{}", claim.name);
         // Each claim has solutions of its own: gsn2x draws a tree.
-        let of = |path: &String| self.solutions.iter().find(|solution| solution.path == *path);
-        let solutions: Vec<&Solution> = claim.files.iter().filter_map(of).collect();
+        let solutions: Vec<&Solution> = self.solutions_in(&claim.files).collect();
         let names: Vec<String> = (1..=solutions.len()).map(|at| format!("Sn-{}-{at}", claim.name)).collect();
         let below = if claim.parts.is_empty() { names.clone() } else { vec![strategy.clone()] };
         if below.is_empty() {
@@ -74,6 +73,11 @@ impl SafetyCase {
         }
     }
 
+    /// The solutions with these paths.
+    fn solutions_in(&self, paths: &[String]) -> impl Iterator<Item = &Solution> {
+        paths.iter().filter_map(|path| self.solutions.iter().find(|solution| solution.path == *path))
+    }
+
     /// A defeater is a counter goal. Files that confirm it support it; what answers it is a counter solution that challenges it.
     fn defeater(&self, yaml: &mut Yaml, defeater: &Defeater, target: &str) {
         let (id, reason) = (format!("CG-{}", defeater.name), format!("CSn-{}", defeater.name));
@@ -89,8 +93,7 @@ impl SafetyCase {
             Answered::Confirmed => yaml.list("supportedBy", std::slice::from_ref(&reason)),
         }
         if defeater.state != Answered::Open {
-            let of = |path: &String| self.solutions.iter().find(|solution| solution.path == *path);
-            let files = defeater.files.iter().filter_map(of).map(|of| format!("{} (SHA-256 {})", of.path, of.sha256));
+            let files = self.solutions_in(&defeater.files).map(|of| format!("{} (SHA-256 {})", of.path, of.sha256));
             let files = files.collect::<Vec<String>>().join(", ");
             let from = if files.is_empty() { String::new() } else { format!(" From {files}.") };
             yaml.element(&reason, &format!("{}{from}", defeater.because));

@@ -48,15 +48,15 @@ impl Support {
     }
 }
 
-/// What the evidence says about a defeater.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+/// What the evidence says about a defeater, from the worst to the best.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Answered {
+    /// It applies.
+    Confirmed,
     /// Nothing.
     Open,
     /// It does not apply.
     Yes,
-    /// It applies.
-    Confirmed,
 }
 
 impl Answered {
@@ -83,6 +83,18 @@ pub struct Defeater {
     pub because: String,
     /// The files that say so: their paths in the folder.
     pub files: Vec<String>,
+}
+
+impl Defeater {
+    fn new(
+        name: impl Into<String>,
+        text: impl Into<String>,
+        state: Answered,
+        because: impl Into<String>,
+        files: Vec<String>,
+    ) -> Self {
+        Self { name: name.into(), text: text.into(), state, because: because.into(), files }
+    }
 }
 
 /// A claim with the files and claims that support it.
@@ -200,14 +212,14 @@ pub const OPERATING_DOMAIN: &str = "compliance/operating-domain.odd.yaml";
 /// What an argument does not claim.
 const NO_CONFORMITY: &str = "Conformity with ISO 10218-2:2025 or with Regulation (EU) 2023/1230 is not claimed. The clauses name where this \
     evidence can support the risk assessment and the technical documentation. Whether a clause applies, and whether it is fulfilled, is for the \
-    manufacturer, the integrator and, where required, a notified body to decide. RoboGate judges the task of a policy. It is no safety function and \
-    replaces none.";
+    manufacturer, the integrator and, where required, a notified body to decide. RoboGate judges whether a policy does its task. It is not a \
+    safety function and does not replace one.";
 
 impl SafetyCase {
     /// The argument of evidence. `operating_domain` is the SHA-256 (hex) of [`OPERATING_DOMAIN`].
     ///
     /// # Errors
-    /// Why there is none: the evidence is invalid.
+    /// Invalid evidence, which supports no argument, with the reason.
     pub fn of(judged: &Judged<'_>, operating_domain: &str) -> Result<Self, String> {
         let evaluation = judged.evaluation;
         if evaluation.verdict == Verdict::Invalid {

@@ -2,7 +2,7 @@
 
 use maud::{Markup, html};
 
-use super::{Claim, NO_CONFORMITY, NoteKind, SafetyCase, Support};
+use super::{Answered, Claim, NO_CONFORMITY, NoteKind, SafetyCase, Support};
 use crate::document::Kind::{Short, Text, Zone};
 use crate::document::{Block, Table};
 use crate::html::{block, frame, prose, rich};
@@ -10,7 +10,8 @@ use crate::html::{block, frame, prose, rich};
 /// The name of the file with the argument, from the page.
 const ARGUMENT: &str = "safety-case.gsn.yaml";
 
-/// The argument as one self-contained HTML file without scripts, or the reason why there is none. Equal arguments give equal bytes.
+/// The argument as one self-contained HTML file without scripts, or a page with the reason why the evidence supports no argument. Equal
+/// arguments give equal bytes.
 pub fn safety_case_html(case: Result<&SafetyCase, &str>) -> String {
     let case = match case {
         Ok(case) => case,
@@ -65,7 +66,7 @@ fn without(because: &str) -> String {
         header.top {
             p.brand { b { "RoboGate" } " safety case" }
             h1 { "NO ARGUMENT" }
-            p.sub { "There is no argument, because " (prose(because.trim_end_matches('.'))) "." }
+            p.sub { "The evidence supports no argument: " (prose(because.trim_end_matches('.'))) "." }
         }
         main { section { header { h2 { "What to do" } } p.text {
             "Remove the cause and run the gate again. Invalid evidence says nothing about the policy: neither that it may run, nor that it may not."
@@ -109,19 +110,14 @@ fn branch(claim: &Claim) -> Markup {
 
 fn defeaters(claim: &Claim) -> Table {
     let columns = [("status", Zone), ("what would make a claim false", Text), ("claim", Text), ("why", Text)];
-    let mut rows: Vec<(u8, Vec<String>)> = Vec::new();
+    let mut rows: Vec<(Answered, Vec<String>)> = Vec::new();
     for claim in claim.all() {
         rows.extend(claim.defeaters.iter().map(|defeater| {
-            let order = match defeater.state {
-                super::Answered::Confirmed => 0,
-                super::Answered::Open => 1,
-                super::Answered::Yes => 2,
-            };
             let cells = [defeater.state.as_str(), &defeater.text, &claim.text, &defeater.because];
-            (order, cells.map(|text| text.replace('`', "")).to_vec())
+            (defeater.state, cells.map(|text| text.replace('`', "")).to_vec())
         }));
     }
-    rows.sort_by_key(|(order, _)| *order);
+    rows.sort_by_key(|(state, _)| *state);
     Table::new("", &columns, rows.into_iter().map(|(_, row)| row).collect())
 }
 
@@ -141,12 +137,10 @@ fn solutions(case: &SafetyCase) -> Table {
 }
 
 fn check() -> Markup {
-    let texts = [
-        "Run `robogate verify .` in this folder. It computes the verdict again from the rows, writes this page and the argument again, and \
-         compares both. This page states no signature: `verify` says who signed.",
-    ];
+    let how = "Run `robogate verify .` in this folder. It computes the verdict again from the rows, writes this page and the argument again, and \
+        compares both. This page states no signature: `verify` says who signed.";
     html! {
-        @for text in texts { p.text { (rich(text)) } }
+        p.text { (rich(how)) }
         p.text {
             "The argument for tools is " a href=(ARGUMENT) { code { (ARGUMENT) } }
             ": Goal Structuring Notation as YAML, which gsn2x reads, checks and draws."

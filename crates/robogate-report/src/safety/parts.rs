@@ -7,10 +7,6 @@ use serde_json::Value;
 
 use super::{Answered, Claim, Defeater, paths};
 
-fn defeater(name: &str, text: &str, state: Answered, because: impl Into<String>, files: Vec<String>) -> Defeater {
-    Defeater { name: name.to_owned(), text: text.to_owned(), state, because: because.into(), files }
-}
-
 /// The question was fixed before the results.
 pub(super) fn question(judged: &Judged<'_>) -> Claim {
     let files = paths(judged, &[Role::Question, Role::Registration, Role::Requirements]);
@@ -38,8 +34,8 @@ pub(super) fn question(judged: &Judged<'_>) -> Claim {
     };
     let because = format!("{question} {}", selected.1);
     let defeaters = vec![
-        defeater("chosen-question", chosen, state, question, paths(judged, &[Role::Question, Role::Requirements])),
-        defeater(
+        Defeater::new("chosen-question", chosen, state, question, paths(judged, &[Role::Question, Role::Requirements])),
+        Defeater::new(
             "best-of-several",
             "The run is the best of several attempts.",
             selected.0,
@@ -88,7 +84,7 @@ pub(super) fn cell(judged: &Judged<'_>) -> Claim {
                 .to_owned(),
         ),
     };
-    let gap = defeater(
+    let gap = Defeater::new(
         "simulation",
         "The simulation differs from the cell in something that moves the outcome.",
         state,
@@ -127,7 +123,7 @@ pub(super) fn deployed(judged: &Judged<'_>) -> Claim {
             (Answered::Open, format!("No comparison of the deployed policy is part of the evidence: {how}."))
         }
     };
-    let other = defeater(
+    let other = Defeater::new(
         "deployed-other",
         "Another policy is deployed, or it is connected in another way: images, units, rate, normaliser.",
         state,
@@ -147,7 +143,7 @@ pub(super) fn operation(judged: &Judged<'_>) -> Claim {
             "Nothing in this evidence observes the cell (`robogate monitor reference`, included as monitor=FILE).",
         ),
     };
-    let outside = defeater(
+    let outside = Defeater::new(
         "outside",
         "The cell operates outside of the ranges that were judged, or its rate drifts.",
         state,
@@ -170,14 +166,13 @@ pub(super) fn operation(judged: &Judged<'_>) -> Claim {
         let stated = json.pointer("/conditions/population").and_then(Value::as_str).unwrap_or("unknown scenarios");
         let judged_on = conditions(judged.provenance()).into_iter().find(|(what, _)| *what == "population");
         let same = judged_on.is_some_and(|(_, population)| population == stated);
-        let other = defeater(
-            "warning-population",
+        let other = Defeater::new(
+            format!("warning-population-{}", at + 1),
             "The detector was calibrated for other scenarios.",
             if same { Answered::Yes } else { Answered::Open },
             format!("It was calibrated on {stated}."),
             vec![file.path.clone()],
         );
-        let other = Defeater { name: format!("warning-population-{}", at + 1), ..other };
         parts.push(Claim::on(format!("warning-{}", at + 1), text, because, vec![file.path.clone()], vec![other]));
     }
     let strategy = "Argue over the monitor, and over each detector.";
@@ -214,8 +209,13 @@ pub(super) fn fleet(judged: &Judged<'_>) -> Option<Claim> {
         true => format!("No share of units was required (`robogate fleet --share`). {because}"),
         false => because,
     };
-    let other =
-        defeater("other-unit", "Another unit of the robot behaves otherwise.", state, reason.clone(), files.clone());
+    let other = Defeater::new(
+        "other-unit",
+        "Another unit of the robot behaves otherwise.",
+        state,
+        reason.clone(),
+        files.clone(),
+    );
     Some(Claim::on("fleet", text, reason, files, vec![other]))
 }
 
@@ -231,10 +231,13 @@ pub(super) fn upgrades(judged: &Judged<'_>) -> Option<Claim> {
         };
         let headline = format!("{}.", text("headline").trim_end_matches('.'));
         let files = vec![file.path.clone()];
-        let changed = Defeater {
-            name: format!("upgrade-{}-changes", at + 1),
-            ..defeater("", "The upgrade changes what was judged.", state, headline.clone(), files.clone())
-        };
+        let changed = Defeater::new(
+            format!("upgrade-{}-changes", at + 1),
+            "The upgrade changes what was judged.",
+            state,
+            headline.clone(),
+            files.clone(),
+        );
         let claim = format!("The upgrade ({}) changes nothing that matters.", text("upgrade"));
         Some(Claim::on(format!("upgrade-{}", at + 1), claim, headline, files, vec![changed]))
     };

@@ -23,25 +23,25 @@ fn sampled(judged: &Judged<'_>) -> Claim {
             Some(_) => "Their author stated at the import how they were chosen.",
             None => "The file does not record how they were chosen. State it with `robogate import --sampling`.",
         };
-        defeaters.push(Defeater {
-            name: "chosen-episodes".to_owned(),
-            text: "The imported episodes were chosen by their results, or are not like those of operation.".to_owned(),
-            state: if sampling.is_some() { Answered::Yes } else { Answered::Open },
-            because: because.to_owned(),
-            files: paths(judged, &[Role::Dictionary]),
-        });
+        defeaters.push(Defeater::new(
+            "chosen-episodes",
+            "The imported episodes were chosen by their results, or are not like those of operation.",
+            if sampling.is_some() { Answered::Yes } else { Answered::Open },
+            because,
+            paths(judged, &[Role::Dictionary]),
+        ));
     }
     if evaluation.counts.focused > 0 {
-        defeaters.push(Defeater {
-            name: "chosen-points".to_owned(),
-            text: format!(
+        defeaters.push(Defeater::new(
+            "chosen-points",
+            format!(
                 "{} were placed near failures and are not a sample.",
                 counted(evaluation.counts.focused, "episode")
             ),
-            state: Answered::Yes,
-            because: "They are not judged.".to_owned(),
-            files: paths(judged, &[Role::Evaluation]),
-        });
+            Answered::Yes,
+            "They are not judged.",
+            paths(judged, &[Role::Evaluation]),
+        ));
     }
     let text = "The judged episodes are a sample of this population.";
     Claim::on("sample", text, evaluation.estimand.clone(), files, defeaters)
@@ -75,13 +75,13 @@ fn independent(judged: &Judged<'_>) -> Claim {
             "Each episode has its own seed and starts from a reset of the built-in environment.".to_owned(),
         ),
     };
-    let shared = Defeater {
-        name: "dependence".to_owned(),
-        text: "Episodes share something that moves their outcome, so there is less evidence than episodes.".to_owned(),
+    let shared = Defeater::new(
+        "dependence",
+        "Episodes share something that moves their outcome, so there is less evidence than episodes.",
         state,
-        because: because.clone(),
-        files: files.clone(),
-    };
+        because.clone(),
+        files.clone(),
+    );
     Claim::on(
         "independence",
         "The episodes are independent, or count as groups that are.",

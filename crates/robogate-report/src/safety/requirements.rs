@@ -2,7 +2,7 @@
 
 use robogate_gate::evidence::{Judged, Role};
 use robogate_gate::{Metric, Mode, Status, Verdict};
-use robogate_stats::format::{count, percent};
+use robogate_stats::format::{count, percent, sentence};
 
 use super::{Answered, Claim, Defeater, paths};
 use crate::RequirementRow;
@@ -46,25 +46,19 @@ fn decided(place: usize, row: &RequirementRow, ids: &str, files: Vec<String>) ->
         interval => format!(", bounds {interval}"),
     };
     let note = if row.note.is_empty() { String::new() } else { format!(" ({})", row.note) };
-    let because = format!("{}: observed {}{bounds}{note}.", capital(row.status.as_str()), row.observed);
-    let violated = Defeater {
-        name: format!("{name}-violated"),
-        text: format!("The requirement is violated: {}.", row.requirement),
-        state: Answered::Confirmed,
-        because: because.clone(),
-        files: files.clone(),
-    };
+    let because = format!("{}: observed {}{bounds}{note}.", sentence(row.status.as_str()), row.observed);
+    let violated = Defeater::new(
+        format!("{name}-violated"),
+        format!("The requirement is violated: {}.", row.requirement),
+        Answered::Confirmed,
+        because.clone(),
+        files.clone(),
+    );
     match row.status {
         Status::Met => Claim::on(name, text, because, files, Vec::new()),
         Status::Violated => Claim::on(name, text, because, Vec::new(), vec![violated]),
         Status::Undecided | Status::NoEvidence => Claim::on(name, text, because, Vec::new(), Vec::new()),
     }
-}
-
-/// A text with a capital letter at its start.
-fn capital(text: &str) -> String {
-    let mut letters = text.chars();
-    letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
 }
 
 fn defeaters(judged: &Judged<'_>) -> Vec<Defeater> {
@@ -82,22 +76,22 @@ fn defeaters(judged: &Judged<'_>) -> Vec<Defeater> {
         }
     };
     let files = paths(judged, &[Role::Evaluation]);
-    let mut found = vec![Defeater {
-        name: "chance".to_owned(),
-        text: "The figures are on the right side of their limits by chance.".to_owned(),
+    let mut found = vec![Defeater::new(
+        "chance",
+        "The figures are on the right side of their limits by chance.",
         state,
         because,
-        files: files.clone(),
-    }];
+        files.clone(),
+    )];
     if evaluation.counts.invalid > 0 {
         let holds = matches!(evaluation.verdict, Verdict::Pass | Verdict::Fail);
-        found.push(Defeater {
-            name: "invalid-episodes".to_owned(),
-            text: format!("The outcomes of {} invalid episodes are unknown.", count(evaluation.counts.invalid)),
-            state: if holds { Answered::Yes } else { Answered::Open },
-            because: format!("{}.", capital(of_invalid(evaluation.verdict))),
-            files: files.clone(),
-        });
+        found.push(Defeater::new(
+            "invalid-episodes",
+            format!("The outcomes of {} invalid episodes are unknown.", count(evaluation.counts.invalid)),
+            if holds { Answered::Yes } else { Answered::Open },
+            format!("{}.", sentence(of_invalid(evaluation.verdict))),
+            files.clone(),
+        ));
     }
     if judged.policy_is_connected() {
         found.push(connection(judged, files));
@@ -116,12 +110,11 @@ fn connection(judged: &Judged<'_>, files: Vec<String>) -> Defeater {
         }
         _ => "No controls ran: an expert and random actions were not compared with the policy.".to_owned(),
     };
-    Defeater {
-        name: "connection".to_owned(),
-        text: "The episodes measure the connection and not the policy: images, states or actions are not those that it was trained on."
-            .to_owned(),
-        state: if ran { Answered::Yes } else { Answered::Open },
+    Defeater::new(
+        "connection",
+        "The episodes measure the connection and not the policy: images, states or actions are not those that it was trained on.",
+        if ran { Answered::Yes } else { Answered::Open },
         because,
         files,
-    }
+    )
 }

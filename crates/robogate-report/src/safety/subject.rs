@@ -21,18 +21,20 @@ fn policy(judged: &Judged<'_>) -> Claim {
             Some("The policy is known by its name or address only: another one may answer there.")
         }
     };
-    let defeater = unknown.map(|text| Defeater {
-        name: "other-policy".to_owned(),
-        text: text.to_owned(),
-        state: if fingerprint.is_empty() { Answered::Open } else { Answered::Yes },
-        because: match fingerprint.is_empty() {
-            true => "The evidence has neither its files nor its answers to known requests.".to_owned(),
-            false => {
-                "Its answers to requests of the gate, or the files of its checkpoint, are recorded and identify it."
-                    .to_owned()
-            }
-        },
-        files: fingerprint,
+    let defeater = unknown.map(|text| {
+        Defeater::new(
+            "other-policy",
+            text,
+            if fingerprint.is_empty() { Answered::Open } else { Answered::Yes },
+            match fingerprint.is_empty() {
+                true => "The evidence has neither its files nor its answers to known requests.".to_owned(),
+                false => {
+                    "Its answers to requests of the gate, or the files of its checkpoint, are recorded and identify it."
+                        .to_owned()
+                }
+            },
+            fingerprint,
+        )
     });
     let text = format!("The policy is identified: {}.", judged.evaluation.policy);
     let because = format!("Identified as {binding}.");
@@ -60,8 +62,7 @@ fn environment(judged: &Judged<'_>) -> Claim {
             "The digest of the loaded library is recorded.".to_owned(),
         ),
     };
-    let defeater =
-        Defeater { name: "other-environment".to_owned(), text: text.to_owned(), state, because, files: files.clone() };
+    let defeater = Defeater::new("other-environment", text, state, because, files.clone());
     let because = format!("Task, world, engine, robot and parameter space have the SHA-256 {}.", binding.sha256);
     Claim::on("environment", "The environment is identified.", because, files, vec![defeater])
 }

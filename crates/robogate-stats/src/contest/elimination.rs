@@ -133,7 +133,8 @@ impl Elimination {
 
     /// The same contest with ordered scores from 0 to `top`, of which `top` is a success. A policy wins a block with the higher score: the
     /// test compares how often each policy gets further than the other one. The best policy is then one that no other one gets further than
-    /// more often; if there is none, because they go round in a circle, the guarantee says nothing. Call it before the first look.
+    /// more often. With a cycle (A beats B, B beats C, C beats A) there may be no such policy, and the guarantee does not apply. Call it
+    /// before the first look.
     #[must_use]
     pub fn with_top(self, top: u32) -> Self {
         Self { top: top.max(1), ..self }

@@ -124,7 +124,7 @@ fn hanging_servers_are_faults() {
     assert!(Switch::start(any(), vec![silent], settings, |_| {}).is_err(), "found at the start");
 }
 
-/// A server that dies in a trial is no failure of its policy. One that ends a connection after each reply is not dead.
+/// A server that stops in a trial is a fault and not a failure of its policy. A server may close its connection after each reply.
 #[test]
 fn servers_that_go_away_are_faults() {
     let (sender, receiver) = channel();

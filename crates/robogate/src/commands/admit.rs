@@ -10,7 +10,10 @@ use robogate_core::budget::Budget;
 use robogate_dictionary::{hex, read_text};
 use robogate_gate::evidence::{MANIFEST, Manifest};
 use robogate_policy::{Admission, Checkpoint, ExternalPolicy, Fingerprint, PolicyError, Profile, admit};
-use robogate_session::{CHECKPOINT, FINGERPRINT, checkpoint, policy_error, profile, read_checkpoint, read_fingerprint};
+use robogate_session::{
+    CHECKPOINT, FINGERPRINT, MOST_FINGERPRINT_BYTES, checkpoint, policy_error, profile, read_checkpoint,
+    read_fingerprint,
+};
 use robogate_stats::format::{counted, number};
 use serde::Serialize;
 use sha2::{Digest, Sha256};
@@ -53,9 +56,6 @@ pub(crate) struct Admit {
     #[arg(long)]
     json: bool,
 }
-
-/// The largest fingerprint, and the largest record of a checkpoint.
-const MOST_BYTES: u64 = 64 << 20;
 
 /// The document of `--json`.
 #[derive(Debug, Serialize)]
@@ -265,7 +265,7 @@ fn not_of_its_evidence(folder: &Path) -> Result<Option<String>, Exit> {
             continue;
         }
         let metadata = fs::metadata(&path).with_context(|| format!("cannot read {name}")).or_usage()?;
-        if !metadata.is_file() || metadata.len() > MOST_BYTES {
+        if !metadata.is_file() || metadata.len() > MOST_FINGERPRINT_BYTES {
             return Ok(Some(format!("{name} is not a file of at most 64 MiB")));
         }
         let bytes = fs::read(&path).with_context(|| format!("cannot read {name}")).or_usage()?;

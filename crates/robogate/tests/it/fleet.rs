@@ -23,7 +23,8 @@ low = 0.008
 high = 0.012
 "#;
 
-const SUITE: &str = r#"
+/// Poles that the controller holds upright.
+pub(crate) const SUITE: &str = r#"
 schema = 1
 name = "upright"
 version = "1.0.0"

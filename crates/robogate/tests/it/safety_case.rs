@@ -10,21 +10,10 @@ use robogate_gate::evidence::{Content, Ingredients, MANIFEST, Manifest, Role, wr
 use serde_json::Value;
 use tempfile::TempDir;
 
+use crate::fleet::SUITE;
 use crate::harness::{path, verb};
 use crate::verbs::assert_self_contained;
 
-/// Poles that the controller holds upright.
-const SUITE: &str = r#"
-schema = 1
-name = "upright"
-version = "1.0.0"
-description = "Poles that the controller holds upright."
-defaults = { mass_kg = 0.2, start_rad = { low = -0.2, high = 0.2 } }
-[[group]]
-name = "poles"
-category = "nominal"
-scenarios = [{ id = "a" }, { id = "b", mass_kg = 0.25 }, { id = "c", mass_kg = 0.3 }, { id = "d", mass_kg = 0.22 }]
-"#;
 /// Scenarios that are copies of each other.
 const COPIES: &str = r#"
 schema = 1
