@@ -8,13 +8,27 @@ use robogate_core::SpaceError;
 
 use crate::{SCHEMA_VERSION, SchemaVersion};
 
-/// A row of a table, counted from 0.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Row(pub u64);
+/// Where a row is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum RowPlace {
+    /// A row of a table, counted from 0.
+    Row(u64),
+    /// A line of a text file, counted from 1, as editors show it.
+    Line(u64),
+}
 
-impl fmt::Display for Row {
+impl Default for RowPlace {
+    fn default() -> Self {
+        Self::Row(0)
+    }
+}
+
+impl fmt::Display for RowPlace {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "row {}", self.0)
+        match self {
+            Self::Row(row) => write!(f, "row {row}"),
+            Self::Line(line) => write!(f, "line {line}"),
+        }
     }
 }
 
@@ -96,12 +110,12 @@ pub enum DictionaryError {
         wanted: &'static str,
     },
     /// A value that does not fit its column, or that contradicts another value.
-    #[error("{}: {row}, column `{column}`: {value} {reason}", path.display())]
+    #[error("{}: {place}, column `{column}`: {value} {reason}", path.display())]
     Value {
         /// The file.
         path: PathBuf,
-        /// The row, counted from 0.
-        row: Row,
+        /// The row.
+        place: RowPlace,
         /// The column.
         column: String,
         /// The offending value.

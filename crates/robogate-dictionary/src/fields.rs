@@ -1,5 +1,6 @@
 //! Collects the fields of another tool's rows, from which an import derives the parameter space.
 
+use std::borrow::Cow;
 use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::Arc;
@@ -47,7 +48,8 @@ impl Fields {
         if let Some(field) = self.field(row.number, name)
             && !field.take(row.number, value)
         {
-            field.kind = FieldKind::Other("its values have several types");
+            let why = format!("its values have several types: {} has {}", row.place(), value.show());
+            field.kind = FieldKind::Other(why.into());
         }
     }
 
@@ -107,7 +109,7 @@ enum FieldKind {
     /// Words.
     Words(BTreeSet<String>),
     /// Values that cannot be a parameter, with the reason.
-    Other(&'static str),
+    Other(Cow<'static, str>),
 }
 
 impl FieldKind {
@@ -117,8 +119,8 @@ impl FieldKind {
             Scalar::Unsigned(n) => Self::Integers { low: (*n).into(), high: (*n).into() },
             Scalar::Number(x) => Self::Numbers { low: *x, high: *x },
             Scalar::Text(text) => Self::Words(BTreeSet::from([text.clone()])),
-            Scalar::Bool(_) => Self::Other("it contains truth values"),
-            Scalar::Null | Scalar::Nested => Self::Other("it contains arrays or objects"),
+            Scalar::Bool(_) => Self::Other("it contains truth values".into()),
+            Scalar::Null | Scalar::Nested => Self::Other("it contains arrays or objects".into()),
         }
     }
 
@@ -159,7 +161,7 @@ impl FieldKind {
                     words.insert(text.clone());
                 }
                 if words.len() > MOST_WORDS {
-                    *self = Self::Other("it has too many distinct words for a category");
+                    *self = Self::Other("it has too many distinct words for a category".into());
                 }
                 true
             }
@@ -197,17 +199,17 @@ impl Field {
     }
 
     /// The observed range as the domain of a parameter, or the reason why it cannot be one.
-    pub(crate) fn domain(&self) -> Result<Domain, &'static str> {
+    pub(crate) fn domain(&self) -> Result<Domain, Cow<'static, str>> {
         self.domain_as(&self.name)
     }
 
     /// The observed range as the domain of a parameter with the name `name`.
-    pub(crate) fn domain_as(&self, name: &str) -> Result<Domain, &'static str> {
+    pub(crate) fn domain_as(&self, name: &str) -> Result<Domain, Cow<'static, str>> {
         let column = name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_') && !name.is_empty();
         match &self.kind {
-            FieldKind::Nothing => Err("it has no value"),
-            FieldKind::Other(why) => Err(why),
-            _ if !column => Err("its name must be letters, digits and underscores"),
+            FieldKind::Nothing => Err("it has no value".into()),
+            FieldKind::Other(why) => Err(why.clone()),
+            _ if !column => Err("its name must be letters, digits and underscores".into()),
             FieldKind::Integers { low, high } => match (i64::try_from(*low), i64::try_from(*high)) {
                 (Ok(low), Ok(high)) => Ok(integers(low, high)),
                 _ => Ok(continuous(*low as f64, *high as f64)),

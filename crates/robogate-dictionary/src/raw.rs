@@ -12,7 +12,7 @@ use sha2::{Digest, Sha256};
 
 use crate::codec::Interner;
 use crate::hash::hex;
-use crate::{DictionaryError, Row};
+use crate::{DictionaryError, RowPlace};
 
 /// Maximum number of fields per row. Each can become two columns.
 pub(crate) const MOST_FIELDS: usize = 1000;
@@ -58,6 +58,8 @@ impl Scalar {
 #[derive(Debug, Default)]
 pub(crate) struct RawRow {
     pub(crate) number: u64,
+    /// The line of a text file, from 1.
+    pub(crate) line: Option<u64>,
     pub(crate) fields: Vec<(Arc<str>, Scalar)>,
     /// Where the last search ended. Fields are mostly read in order, and a row may have a thousand of them.
     next: Cell<usize>,
@@ -75,11 +77,15 @@ impl RawRow {
         self.fields.get(at).map(|(_, value)| value)
     }
 
+    pub(crate) fn place(&self) -> RowPlace {
+        self.line.map_or(RowPlace::Row(self.number), RowPlace::Line)
+    }
+
     /// An error about a field of this row.
     pub(crate) fn wrong(&self, path: &Path, field: &str, reason: impl Into<String>) -> DictionaryError {
         DictionaryError::Value {
             path: path.to_owned(),
-            row: Row(self.number),
+            place: self.place(),
             column: field.to_owned(),
             value: self.get(field).unwrap_or(&Scalar::Null).show(),
             reason: reason.into(),

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use crate::codec::Interner;
 use crate::columns::{Cell, WrongCell};
-use crate::{DatasetHash, DictionaryError, Entry, Row};
+use crate::{DatasetHash, DictionaryError, Entry, RowPlace};
 
 use super::{Column, Dictionary, damaged};
 
@@ -82,7 +82,13 @@ impl Entries<'_> {
 
     fn value(&self, wrong: WrongCell) -> DictionaryError {
         let WrongCell { column, value, reason } = wrong;
-        DictionaryError::Value { path: self.dictionary.path.clone(), row: Row(self.row), column, value, reason }
+        DictionaryError::Value {
+            path: self.dictionary.path.clone(),
+            place: RowPlace::Row(self.row),
+            column,
+            value,
+            reason,
+        }
     }
 }
 

@@ -19,7 +19,7 @@ use crate::columns::Columns;
 use crate::fields::Fields;
 use crate::raw::{MOST_MODES, RawRow, Scalar};
 use crate::{
-    DictionaryError, DictionaryWriter, Engine, Entry, Label, Provenance, Robot, Row, SCHEMA_VERSION, Source, Tool,
+    DictionaryError, DictionaryWriter, Engine, Entry, Label, Provenance, Robot, RowPlace, SCHEMA_VERSION, Source, Tool,
     Written, v1,
 };
 
@@ -155,7 +155,7 @@ impl Survey {
             if let Some(row) = missing {
                 return Err(DictionaryError::Value {
                     path: path.to_owned(),
-                    row: Row(row),
+                    place: RowPlace::Row(row),
                     column: field.name.to_string(),
                     value: "a missing value".to_owned(),
                     reason: "cannot be used. Expected a value in every row, because other rows have one".to_owned(),

@@ -6,8 +6,8 @@ use std::hash::{Hash, Hasher};
 use std::path::Path;
 
 use super::names;
-use crate::DictionaryError;
 use crate::raw::{RawRow, Scalar};
+use crate::{DictionaryError, RowPlace};
 
 /// Names of columns that count the episodes of a row, in the form of [`names::plain`].
 const COUNTS: [&str; 16] = [
@@ -38,7 +38,7 @@ struct OfTask {
     rows: u64,
     /// The most episodes that a row counts, with the row.
     most: u64,
-    at: u64,
+    at: RowPlace,
 }
 
 /// What the rows say about the number of their episodes.
@@ -93,7 +93,7 @@ impl Aggregates {
         let task = self.tasks.entry(task.finish()).or_default();
         task.rows += 1;
         if count > task.most {
-            (task.most, task.at) = (count, row.number);
+            (task.most, task.at) = (count, row.place());
         }
     }
 
@@ -116,7 +116,7 @@ impl Aggregates {
                 self.tasks.values().filter(|task| task.most > task.rows.max(1)).min_by_key(|task| task.at)
         {
             return refuse(format!(
-                "row {}: `{column}` is {}, but the number of rows of its task is {}: the rows are averages over episodes",
+                "{}: `{column}` is {}, but the number of rows of its task is {}: the rows are averages over episodes",
                 task.at, task.most, task.rows
             ));
         }

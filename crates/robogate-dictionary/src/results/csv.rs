@@ -7,7 +7,7 @@ use std::sync::Arc;
 use ::csv::{ErrorKind, Reader, ReaderBuilder, StringRecord};
 
 use super::numbers::{Evidence, Numbers};
-use super::{Frame, Sink, units};
+use super::{Frame, Sink, changed, units};
 use crate::DictionaryError;
 use crate::decode::Text;
 use crate::formula::unmarked;
@@ -16,8 +16,7 @@ use crate::raw::{MOST_FIELDS, Meter, RawRow, Scalar};
 /// Maximum bytes per record. Without it, an unclosed quote would consume the whole file.
 const LONGEST: u64 = 1 << 20;
 
-pub(super) fn read(path: &Path, sink: Sink<'_>) -> Result<Frame, DictionaryError> {
-    let (numbers, units) = numbers(path)?;
+pub(super) fn read(path: &Path, spelling: &Spelling, sink: Sink<'_>) -> Result<Frame, DictionaryError> {
     let mut table = Table::open(path)?;
     let mut row = RawRow::default();
     let mut repeated: Vec<u64> = Vec::new();
@@ -26,17 +25,23 @@ pub(super) fn read(path: &Path, sink: Sink<'_>) -> Result<Frame, DictionaryError
             repeated.push(table.line());
             continue;
         }
+        row.line = Some(table.line());
         row.fields.clear();
-        for ((name, field), unit) in table.names.iter().zip(&table.record).zip(&units) {
+        for ((name, field), unit) in table.names.iter().zip(&table.record).zip(&spelling.units) {
             let field = unit.and_then(|_| units::parts(field)).map_or(field, |(number, _)| number);
-            row.fields.push((Arc::clone(name), scalar(field, numbers)));
+            row.fields.push((Arc::clone(name), scalar(field, spelling.numbers)));
         }
         sink(&row)?;
         row.number += 1;
     }
     let text = table.reader.into_inner().into_inner();
-    let mut notes: Vec<String> = text.note().into_iter().collect();
-    let with_unit = table.names.iter().zip(&units).filter_map(|(name, unit)| Some(format!("`{name}` in {}", (*unit)?)));
+    let (note, sha256) = (text.note(), text.sha256());
+    if sha256 != spelling.sha256 {
+        return Err(changed(path));
+    }
+    let mut notes: Vec<String> = note.into_iter().collect();
+    let with_unit =
+        table.names.iter().zip(&spelling.units).filter_map(|(name, unit)| Some(format!("`{name}` in {}", (*unit)?)));
     let with_unit: Vec<String> = with_unit.collect();
     if !with_unit.is_empty() {
         notes.push(format!("Numbers with a unit are read as numbers: {}.", with_unit.join(", ")));
@@ -47,11 +52,21 @@ pub(super) fn read(path: &Path, sink: Sink<'_>) -> Result<Frame, DictionaryError
             "Lines that repeat the header, as after a merge of files: {n}, first line {first}. They are skipped."
         ));
     }
-    Ok(Frame { sha256: text.sha256(), notes, ..Frame::default() })
+    Ok(Frame { sha256, notes, ..Frame::default() })
 }
 
-/// How the file writes numbers, and the unit of each column whose numbers have one, from all fields.
-fn numbers(path: &Path) -> Result<(Numbers, Vec<Option<&'static str>>), DictionaryError> {
+/// How a file writes its values.
+#[derive(Debug)]
+pub(super) struct Spelling {
+    numbers: Numbers,
+    /// The unit of each column whose numbers have one.
+    units: Vec<Option<&'static str>>,
+    /// SHA-256 of the file.
+    sha256: String,
+}
+
+/// How the file writes its values, from all fields.
+pub(super) fn spelling(path: &Path) -> Result<Spelling, DictionaryError> {
     let mut table = Table::open(path)?;
     let mut evidence = Evidence::default();
     let mut columns = vec![units::Column::default(); table.names.len()];
@@ -69,13 +84,14 @@ fn numbers(path: &Path) -> Result<(Numbers, Vec<Option<&'static str>>), Dictiona
         }
     }
     let units: Result<_, String> = table.names.iter().zip(&columns).map(|(name, column)| column.decide(name)).collect();
-    let decided = evidence.decide().and_then(|numbers| Ok((numbers, units?)));
+    let sha256 = table.reader.into_inner().into_inner().sha256();
+    let decided = evidence.decide().and_then(|numbers| Ok(Spelling { numbers, units: units?, sha256 }));
     decided.map_err(|reason| DictionaryError::results(path, reason))
 }
 
 /// Whether a field stands for a missing value. Other tools write `nan` and similar words.
 fn is_missing(text: &str) -> bool {
-    ["", "nan", "null", "none", "na", "n/a"].iter().any(|word| text.eq_ignore_ascii_case(word))
+    ["", "nan", "null", "none", "na", "n/a", "#n/a", "-", "--"].iter().any(|word| text.eq_ignore_ascii_case(word))
 }
 
 /// The records of a file after its header.

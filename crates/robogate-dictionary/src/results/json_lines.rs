@@ -85,6 +85,7 @@ pub(super) fn read(path: &Path, sink: Sink<'_>) -> Result<Frame, DictionaryError
             .deserialize(&mut json)
             .and_then(|()| json.end())
             .map_err(|e| lines.wrong(&e))?;
+        row.line = Some(lines.number());
         sink(&row)?;
         row.number += 1;
     }

@@ -33,6 +33,7 @@ mod task;
 mod units;
 mod vla_eval;
 
+use std::cell::OnceCell;
 use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::Arc;
@@ -71,7 +72,8 @@ type Sink<'a> = &'a mut dyn FnMut(&RawRow) -> Result<(), DictionaryError>;
 /// If no format is given, it is recognised from the content. If a row is invalid, no file is written. Of rows of several policies
 /// ([`policies`]), those of the policy that the mapping names are imported.
 pub fn import(from: &Path, to: &Path, format: Option<Format>, mapping: &Mapping) -> Result<Imported, DictionaryError> {
-    let format = format_of(from, format)?;
+    let input = Input::new(from, format)?;
+    let format = input.format;
     if format == Format::Published {
         if !mapping.is_empty() {
             return Err(fixed_columns(from, "the published JSON"));
@@ -88,9 +90,9 @@ pub fn import(from: &Path, to: &Path, format: Option<Format>, mapping: &Mapping)
         return Err(DictionaryError::results(from, "it is already a dictionary\nHint: use it without importing it"));
     }
     let mapped = mapping.roles.contains_key(&Role::Success);
-    let columns = columns(format, from);
+    let columns = input.columns();
     let mut mapping = mapping.over(&format.mapping()).found_in(&columns);
-    let policies = Policies::of(format, from, &mapping, &columns)?;
+    let policies = Policies::of(&input, &mapping, &columns)?;
     let wanted = mapping.about.policy.clone();
     let kept = policies.chosen(from, wanted.as_deref())?;
     if mapping.about.policy.is_none() {
@@ -98,7 +100,7 @@ pub fn import(from: &Path, to: &Path, format: Option<Format>, mapping: &Mapping)
     }
     let mut aggregates = Aggregates::new(mapping.column(Role::Success), mapped);
     let mut survey = survey::Survey::new(from, &mapping);
-    let mut frame = read(format, from, &mut |row| {
+    let mut frame = input.read(&mut |row| {
         if !policies.keeps(kept, row) {
             return Ok(());
         }
@@ -111,7 +113,7 @@ pub fn import(from: &Path, to: &Path, format: Option<Format>, mapping: &Mapping)
     let mut writer = DictionaryWriter::create(to, &plan.provenance)?;
     let mut words = Interner::default();
     let mut index = 0;
-    let again = read(format, from, &mut |row| {
+    let again = input.read(&mut |row| {
         if policies.keeps(kept, row) {
             writer.push(&plan.entry(row, index, &mut words)?)?;
             index += 1;
@@ -136,12 +138,6 @@ pub fn import_export(from: &Path, to: &Path) -> Result<bool, DictionaryError> {
     }
 }
 
-/// The format that was given, or that of the content.
-fn format_of(path: &Path, given: Option<Format>) -> Result<Format, DictionaryError> {
-    check_placeholder(path)?;
-    given.map_or_else(|| format::recognise(path), Ok)
-}
-
 fn check_placeholder(path: &Path) -> Result<(), DictionaryError> {
     placeholder(path).map_or(Ok(()), |reason| Err(DictionaryError::results(path, reason)))
 }
@@ -154,41 +150,68 @@ fn fixed_columns(from: &Path, what: &str) -> DictionaryError {
     }
 }
 
-/// The columns of the first rows. If the file cannot be read, its reader reports the error later.
-fn columns(format: Format, path: &Path) -> Vec<String> {
-    const FIRST_ROWS: u64 = 100;
-    let mut names: Vec<String> = Vec::new();
-    let mut known: BTreeSet<Arc<str>> = BTreeSet::new();
-    // The error ends the reading early.
-    let _ = read(format, path, &mut |row| {
-        for (name, _) in &row.fields {
-            if known.insert(Arc::clone(name)) {
-                names.push(name.to_string());
-            }
-        }
-        if row.number < FIRST_ROWS && names.len() < 2 * MOST_FIELDS {
-            Ok(())
-        } else {
-            Err(DictionaryError::results(path, "enough rows were read"))
-        }
-    });
-    names
-}
-
 /// The error about a file that changed between the two passes.
 fn changed(from: &Path) -> DictionaryError {
     DictionaryError::results(from, "it changed during the import\nHint: import it once it is complete")
 }
 
-fn read(format: Format, path: &Path, sink: Sink<'_>) -> Result<Frame, DictionaryError> {
-    match format {
-        Format::LeRobot => lerobot::read(path, sink),
-        Format::VlaEval => vla_eval::read(path, sink),
-        Format::InspectRobots => inspect_robots::read(path, sink),
-        Format::LeRobotDataset => lerobot_dataset::read(path, sink),
-        Format::Csv => csv::read(path, sink),
-        Format::JsonLines => json_lines::read(path, sink),
-        Format::Parquet => parquet::read(path, sink),
-        Format::Published => Err(DictionaryError::results(path, "the published JSON has a separate importer")),
+/// A file whose rows are read several times.
+#[derive(Debug)]
+struct Input<'a> {
+    path: &'a Path,
+    format: Format,
+    /// Of a CSV file. It depends on all fields, so the first reading decides it.
+    spelling: OnceCell<csv::Spelling>,
+}
+
+impl<'a> Input<'a> {
+    /// The input with the format that was given, or that of the content.
+    fn new(path: &'a Path, given: Option<Format>) -> Result<Self, DictionaryError> {
+        check_placeholder(path)?;
+        let format = given.map_or_else(|| format::recognise(path), Ok)?;
+        Ok(Self { path, format, spelling: OnceCell::new() })
+    }
+
+    fn read(&self, sink: Sink<'_>) -> Result<Frame, DictionaryError> {
+        let path = self.path;
+        match self.format {
+            Format::LeRobot => lerobot::read(path, sink),
+            Format::VlaEval => vla_eval::read(path, sink),
+            Format::InspectRobots => inspect_robots::read(path, sink),
+            Format::LeRobotDataset => lerobot_dataset::read(path, sink),
+            Format::Csv => csv::read(path, self.spelling()?, sink),
+            Format::JsonLines => json_lines::read(path, sink),
+            Format::Parquet => parquet::read(path, sink),
+            Format::Published => Err(DictionaryError::results(path, "the published JSON has a separate importer")),
+        }
+    }
+
+    fn spelling(&self) -> Result<&csv::Spelling, DictionaryError> {
+        if let Some(known) = self.spelling.get() {
+            return Ok(known);
+        }
+        let found = csv::spelling(self.path)?;
+        Ok(self.spelling.get_or_init(|| found))
+    }
+
+    /// The columns of the first rows. If the file cannot be read, its reader reports the error later.
+    fn columns(&self) -> Vec<String> {
+        const FIRST_ROWS: u64 = 100;
+        let mut names: Vec<String> = Vec::new();
+        let mut known: BTreeSet<Arc<str>> = BTreeSet::new();
+        // The error ends the reading early.
+        let _ = self.read(&mut |row| {
+            for (name, _) in &row.fields {
+                if known.insert(Arc::clone(name)) {
+                    names.push(name.to_string());
+                }
+            }
+            if row.number < FIRST_ROWS && names.len() < 2 * MOST_FIELDS {
+                Ok(())
+            } else {
+                Err(DictionaryError::results(self.path, "enough rows were read"))
+            }
+        });
+        names
     }
 }

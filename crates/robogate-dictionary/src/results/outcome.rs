@@ -220,7 +220,7 @@ pub(super) fn not_a_truth(path: &Path, row: &RawRow, column: &str) -> Dictionary
         }
         _ => "",
     };
-    let expected = "is neither true nor false. Expected true, false, 1, 0, success, fail or error";
+    let expected = "is neither true nor false. Expected true or false, 1 or 0, yes or no, success or fail, or error";
     row.wrong(path, column, format!("{expected}{hint}"))
 }
 
@@ -233,8 +233,8 @@ pub(super) fn truth(value: &Scalar) -> Option<bool> {
         Scalar::Number(x) if x.to_bits() == 0_f64.to_bits() => Some(false),
         Scalar::Number(x) if x.to_bits() == 1_f64.to_bits() => Some(true),
         Scalar::Text(word) => match word.to_ascii_lowercase().as_str() {
-            "true" | "yes" | "success" | "succeeded" | "pass" | "passed" => Some(true),
-            "false" | "no" | "fail" | "failed" | "failure" => Some(false),
+            "true" | "yes" | "y" | "success" | "succeeded" | "pass" | "passed" => Some(true),
+            "false" | "no" | "n" | "fail" | "failed" | "failure" => Some(false),
             _ => None,
         },
         Scalar::Null | Scalar::Integer(_) | Scalar::Unsigned(_) | Scalar::Number(_) | Scalar::Nested => None,

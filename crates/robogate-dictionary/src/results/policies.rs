@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use super::{Format, Mapping, Role, columns, exported, format_of, read};
+use super::{Format, Input, Mapping, Role, exported};
 use crate::DictionaryError;
 use crate::raw::{RawRow, Scalar};
 
@@ -22,29 +22,25 @@ pub(super) struct Policies {
 /// # Errors
 /// If the file cannot be read, has too many policies, or only some of its rows name one.
 pub fn policies(path: &Path, format: Option<Format>, mapping: &Mapping) -> Result<Vec<String>, DictionaryError> {
-    let format = format_of(path, format)?;
-    if format == Format::Published || exported::is_export(path, format) {
+    let input = Input::new(path, format)?;
+    if input.format == Format::Published || exported::is_export(path, input.format) {
         return Ok(Vec::new());
     }
-    let columns = columns(format, path);
-    let mapping = mapping.over(&format.mapping()).found_in(&columns);
-    Ok(Policies::of(format, path, &mapping, &columns)?.rows.into_keys().collect())
+    let columns = input.columns();
+    let mapping = mapping.over(&input.format.mapping()).found_in(&columns);
+    Ok(Policies::of(&input, &mapping, &columns)?.rows.into_keys().collect())
 }
 
 impl Policies {
-    pub(super) fn of(
-        format: Format,
-        path: &Path,
-        mapping: &Mapping,
-        columns: &[String],
-    ) -> Result<Self, DictionaryError> {
+    pub(super) fn of(input: &Input<'_>, mapping: &Mapping, columns: &[String]) -> Result<Self, DictionaryError> {
+        let path = input.path;
         let column = mapping.column(Role::Policy);
         if mapping.names_parameter(column) || mapping.ignores(column) || !columns.iter().any(|name| name == column) {
             return Ok(Self::default());
         }
         let mut found = Self { column: Some(column.to_owned()), rows: BTreeMap::new() };
         let mut unnamed: Option<DictionaryError> = None;
-        read(format, path, &mut |row| {
+        input.read(&mut |row| {
             let name = found.name_of(row);
             if name.trim().is_empty() {
                 unnamed.get_or_insert_with(|| {

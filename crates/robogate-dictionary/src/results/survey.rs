@@ -18,7 +18,7 @@ use crate::columns::Columns;
 use crate::fields::{Field, Fields};
 use crate::provenance::SourceColumn;
 use crate::raw::{MOST_FIELDS, MOST_MODES, RawRow, Scalar};
-use crate::{DictionaryError, Engine, Provenance, Robot, Row, SCHEMA_VERSION, Source, Tool, published};
+use crate::{DictionaryError, Engine, Provenance, Robot, SCHEMA_VERSION, Source, Tool, published};
 
 /// The parameter that stores an environment's seed.
 pub const SOURCE_SEED: &str = "source_seed";
@@ -213,7 +213,7 @@ impl<'a> Survey<'a> {
                     "it has more than {MOST_MODES} different failure modes\nHint: map its words to fewer modes under \
                      [failure_modes] in a mapping"
                 );
-                return Err(DictionaryError::results(self.path, format!("{}: {reason}", Row(row.number))));
+                return Err(DictionaryError::results(self.path, format!("{}: {reason}", row.place())));
             }
         }
         Ok(())
@@ -471,9 +471,15 @@ impl<'a> Survey<'a> {
             }
         }
         if self.silent == self.rows {
+            let column = self.mapping.column(Role::Success);
+            let exists = Role::ALL.iter().zip(self.roles).any(|(role, present)| present && *role == Role::Success);
+            let absent = if exists { "" } else { ": there is no such column" };
+            let others =
+                self.fields.names().chain(self.measures.names()).chain(self.others.iter().map(|(name, _)| &**name));
+            let others: Vec<&str> = others.take(12).collect();
             let reason = format!(
-                "no row has an outcome in `{}`\nHint: name the column, for example with --map success=COLUMN",
-                self.mapping.column(Role::Success)
+                "no row has an outcome in `{column}`{absent}. Other columns: {}\nHint: name the one with the outcome: --map success=COLUMN",
+                if others.is_empty() { "none".to_owned() } else { others.join(", ").escape_debug().to_string() }
             );
             return Err(DictionaryError::results(self.path, reason));
         }

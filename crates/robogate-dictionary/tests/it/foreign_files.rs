@@ -236,7 +236,7 @@ fn averages_are_no_episodes() {
     let wanted = &["the rows are averages", "Expected one row per episode"];
     let table = "task,n_episodes,success_rate\npush,25,1.0\npull,25,0.0\n";
     let error = read("rates", table).unwrap_err().to_string();
-    assert!(error.contains("row 0: `n_episodes` is 25") && error.contains(wanted[1]), "{error}");
+    assert!(error.contains("line 2: `n_episodes` is 25") && error.contains(wanted[1]), "{error}");
     assert_eq!(audited("rates", table).unwrap_err().to_string().lines().last(), error.lines().last());
     refused("bare", "task,success_rate\npush,1\npull,0\n", &["--map success=success_rate"]);
     // A setting that all episodes repeat.
@@ -250,9 +250,9 @@ fn averages_are_no_episodes() {
 fn other_success_values_are_refused() {
     for value in ["100", "0.5", "ok", "-1", "2"] {
         let table = format!("episode,success\n0,0\n1,1\n2,{value}\n");
-        refused("value", &table, &["row 2, column `success`", "is neither true nor false"]);
+        refused("value", &table, &["line 4, column `success`", "is neither true nor false"]);
         let error = audited("value", &table).unwrap_err().to_string();
-        assert!(error.contains("row 2, column `success`"), "{error}");
+        assert!(error.contains("line 4, column `success`"), "{error}");
     }
 }
 
@@ -294,4 +294,25 @@ fn checks_without_power_are_not_ok() {
     assert!(not_checked(&audit, Check::InfrastructureErrors).contains("no text about an error"));
     let audit = audited("failed", "episode,success,steps\n0,0,5\n1,0,7\n").unwrap();
     assert!(not_checked(&audit, Check::SuccessAtFirstStep).contains("no success has"));
+}
+
+#[test]
+fn an_odd_cell_is_named() {
+    let (provenance, _) = read("odd", "mass_kg,success\n0.5,1\n0x10,0\n0.7,1\n").unwrap();
+    assert!(notes(&provenance).contains("its values have several types: line 3 has `0x10`"), "{}", notes(&provenance));
+    let (_, entries) = read("letters", "mass_kg,success\n0.5,y\n0.6,n\n").unwrap();
+    assert_eq!(words(&entries), "success unknown");
+}
+
+#[test]
+fn restarted_seeds_are_not_hidden_by_a_column_of_results() {
+    let rows = |x: fn(u32) -> String| -> String {
+        (0..120).map(|i| format!("{},{},{}\n", 5000 + i % 8, x(i), u32::from(i % 8 < 5))).collect()
+    };
+    let audit = audited("restart", &format!("seed,x_m,success\n{}", rows(|i| format!("0.{}1", 101 + i)))).unwrap();
+    let because = not_checked(&audit, Check::RepeatedSeeds);
+    assert!(because.starts_with("8 seeds occur in 120 rows, each time with other numbers in x_m."), "{because}");
+    // A design that repeats its seeds in each scenario.
+    let audit = audited("design", &format!("seed,x_m,success\n{}", rows(|i| format!("0.{}1", 101 + i / 8)))).unwrap();
+    assert!(matches!(result(&audit, Check::RepeatedSeeds), CheckResult::Clear { .. }));
 }

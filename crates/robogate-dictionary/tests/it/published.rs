@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use robogate_core::{Domain, Episode, Outcome};
 use robogate_dictionary::published::{export, import};
-use robogate_dictionary::{Dictionary, DictionaryError, write_parquet};
+use robogate_dictionary::{Dictionary, DictionaryError, RowPlace, write_parquet};
 
 use crate::common::{Folder, entry_of, pick_place, provenance_of};
 
@@ -186,8 +186,8 @@ fn contradicting_rows_are_named() {
         let rows: Vec<String> =
             (0..5).map(|i| if i == 3 { FRANKA.replace(old, new) } else { FRANKA.to_owned() }).collect();
         let error = imported(&folder, &file(&rows)).unwrap_err();
-        let DictionaryError::Value { row, column, .. } = &error else { panic!("{error}") };
-        assert_eq!((row.0, column.as_str()), (3, at), "{error}");
+        let DictionaryError::Value { place, column, .. } = &error else { panic!("{error}") };
+        assert_eq!((*place, column.as_str()), (RowPlace::Row(3), at), "{error}");
     }
 }
 

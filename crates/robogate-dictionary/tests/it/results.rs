@@ -158,8 +158,8 @@ fn pyarrow_file_is_read() {
 fn wrong_values_are_located() {
     let none = Mapping::default();
     for (name, content, wanted) in [
-        ("a.csv", "success,mass\n1,2\n2,3\n", &["a.csv", "row 1, column `success`: 2 is neither true nor false"][..]),
-        ("b.csv", "success,failure_mode\n0,7\n", &["row 0, column `failure_mode`: 7 is not a word"]),
+        ("a.csv", "success,mass\n1,2\n2,3\n", &["a.csv", "line 3, column `success`: 2 is neither true nor false"][..]),
+        ("b.csv", "success,failure_mode\n0,7\n", &["line 2, column `failure_mode`: 7 is not a word"]),
         ("c.csv", "success,failure_mode\n1,collision\n", &["contradicts `success`"]),
         (
             "d.csv",
@@ -168,7 +168,14 @@ fn wrong_values_are_located() {
         ),
         ("e.csv", "success,cycle_time_s\n1,-2\n", &["-2 is negative"]),
         ("f.csv", "success,cycle_time_s\n1,soon\n", &["`soon` is not a time in seconds"]),
-        ("g.csv", "result,mass\n1,2\n", &["no row has an outcome in `success`", "--map success=COLUMN"]),
+        (
+            "g.csv",
+            "result,mass\n1,2\n",
+            &[
+                "no row has an outcome in `success`: there is no such column. Other columns: result, mass\n",
+                "--map success=COLUMN",
+            ],
+        ),
         ("h.csv", "success,success\n1,2\n", &["the column `success` twice"]),
         ("i.csv", "success,mass\n1,2\n1\n", &["line 3", "1 fields. Expected 2"]),
         ("j.csv", "success,mass\n", &["no episodes", "Expected at least one row"]),
@@ -474,7 +481,7 @@ fn too_many_failure_modes_are_rejected() {
     let row = |i: u32| format!("0,word {i}\n");
     let rows = |n: u32| format!("success,failure_mode\n{}", (0..n).map(row).collect::<String>());
     let error = refused("modes.csv", rows(1001), &Mapping::default());
-    assert!(error.contains("row 1000: it has more than 1000 different failure modes"), "{error}");
+    assert!(error.contains("line 1002: it has more than 1000 different failure modes"), "{error}");
     assert_eq!(table("modes", &rows(1000), "").1.len(), 1000);
 }
 
@@ -641,7 +648,7 @@ fn one_dictionary_has_one_policy() {
 fn rows_without_policy_are_refused() {
     let rows = "policy,mass,success\na,1,1\n,2,0\nb,3,1\n,4,1\n";
     let error = refused("no-policy.csv", rows, &Mapping::default());
-    assert!(error.contains("row 1, column `policy`: a missing value names no policy"), "{error}");
+    assert!(error.contains("line 3, column `policy`: a missing value names no policy"), "{error}");
     assert!(error.contains("Hint: fill it in, or leave the column out with --map ignore=policy"), "{error}");
     let folder = Folder::new("results-no-policy");
     let path = folder.join("t.csv");

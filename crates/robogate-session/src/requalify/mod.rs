@@ -13,14 +13,14 @@ use robogate_gate::{Ending, Requalification, Requalifier, Seen};
 use serde::Serialize;
 
 use crate::cell;
-use crate::environment_choice::absolute;
+use crate::environment_choice::{absolute, file_sha256, from_any_folder};
 use crate::environments::Interpreter;
 use crate::failure::{Failure, FailureKind, OrFailure};
 use crate::notice::note;
 use crate::origin;
 use crate::policy_source::{PolicyChoice, PolicyLocation};
 use crate::registry::ENGINES;
-use crate::reopening::Reopening;
+use crate::reopening::{Reopening, Trust};
 use crate::repetition::repeats;
 use crate::source::open_source;
 use crate::subject::Subject;
@@ -38,6 +38,8 @@ const REPEATED: usize = 8;
 pub enum Upgrade {
     /// Packages of the Python environment, as requirements of pip.
     Packages(Vec<String>),
+    /// The environment: another version of its file, or another name.
+    Environment(String),
     /// The policy.
     Policy(Box<PolicyChoice>),
     /// The robot of the built-in cell: a name or a folder.
@@ -132,7 +134,10 @@ impl RecordedRun {
     /// The subject after an upgrade, with its changed packages. The inner error is that of an environment which does not start.
     fn upgraded(&self, upgrade: &Upgrade) -> Result<(Result<Side, Failure>, Vec<VersionChange>), Failure> {
         let (folder, mut provenance) = (Some(&*self.folder), self.provenance.clone());
-        let mut opening = Reopening { upgraded: true, ..self.opening.clone() };
+        // What the record names may start, as it did for the side before. Another record has no origin that says so.
+        let mut opening = Reopening { upgraded: true, trust: Trust::YES, ..self.opening.clone() };
+        opening.simulators.python =
+            self.python.as_ref().map(|first| first.path().to_owned()).or(opening.simulators.python);
         let mut packages = Vec::new();
         if let Upgrade::Packages(requirements) = upgrade {
             let Some(first) = &self.python else {
@@ -171,10 +176,23 @@ impl RecordedRun {
                 };
                 (place.engine, place.time_step_s) = (engine.name.to_owned(), engine.time_step_s);
             }
+            (Upgrade::Environment(name), Some(Place::Python(place))) => {
+                let environment = from_any_folder(name);
+                let sha256 = file_sha256(&environment).or_request()?;
+                let (files, packages) = Default::default();
+                *place = PythonPlace { environment, sha256, files, packages };
+                opening.env = Some(name.clone());
+            }
+            (Upgrade::Environment(name), _) => {
+                return Err(anyhow!(
+                    "--env {name}: the run was not made in an environment that RoboGate starts\nHint: use --engine, --robot or --policy"
+                ))
+                .or_request();
+            }
             (Upgrade::Robot(_) | Upgrade::Engine(_), _) => {
                 return Err(anyhow!(
                     "--robot and --engine apply to the built-in cell, but the run was made in another environment\nHint: use \
-                     --env-with or --policy"
+                     --env, --env-with or --policy"
                 ))
                 .or_request();
             }
@@ -280,6 +298,7 @@ impl std::fmt::Display for Upgrade {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Packages(requirements) => f.write_str(&requirements.join(" ")),
+            Self::Environment(name) => write!(f, "environment {name}"),
             Self::Policy(choice) => write!(f, "policy {}", choice.policy.as_deref().unwrap_or("scripted")),
             Self::Robot(robot) => write!(f, "robot {robot}"),
             Self::Engine(engine) => write!(f, "engine {engine}"),

@@ -55,6 +55,11 @@ pub struct VersionChange {
 }
 
 impl Packages {
+    /// Its interpreter.
+    pub(super) fn path(&self) -> &Path {
+        &self.python
+    }
+
     /// The packages of this Python.
     pub fn of(python: &Path) -> Result<Self, Failure> {
         let output = run(Command::new(python).args(["-c", ASK])).or_request()?;

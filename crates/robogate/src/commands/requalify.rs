@@ -18,17 +18,20 @@ use crate::terminal::{bold, dim, headline, line, note, wrapped};
 
 /// Find out what an upgrade changes: run the scenarios of a run again, before and after it.
 ///
-/// The upgrade is another version of packages in the Python of the environment, or another policy, robot or engine. The second Python is
+/// The upgrade is another version of the environment or of packages in its Python, or another policy, robot or engine. The second Python is
 /// made in the cache folder; the first is not changed. The answer is the first of these that is certain: success is equal but its meaning
 /// changed (contacts, moving parts, duration, drift); initial states changed; success changed; it cannot run; the
 /// episodes are not pairs; the solver does worse. Otherwise there is no relevant change, with a bound.
 ///
 /// Exit codes: 0 no relevant change, 1 changed or it cannot run, 3 inconclusive, 4 the pairing is not valid.
 #[derive(Debug, Args)]
-#[command(group(ArgGroup::new("upgrade").required(true).args(["env_with", "policy", "robot", "engine"])))]
+#[command(group(ArgGroup::new("upgrade").required(true).args(["env", "env_with", "policy", "robot", "engine"])))]
 pub(crate) struct Requalify {
     /// Folder of the run
     run: PathBuf,
+    /// Use another version of the environment: its file with the class or function, or another name
+    #[arg(long, value_name = "FILE.py:NAME")]
+    env: Option<String>,
     /// Upgrade packages of the environment's Python: PACKAGE==VERSION as pip installs it, or a wheel or folder
     #[arg(long, value_name = "PACKAGE==VERSION", num_args = 1..)]
     env_with: Vec<String>,
@@ -150,13 +153,14 @@ impl Requalify {
     }
 
     fn upgrade(&self) -> Upgrade {
-        match (&self.policy, &self.robot, &self.engine) {
+        match (&self.policy, &self.robot, &self.engine, &self.env) {
             (Some(policy), ..) => {
                 let choice = PolicyChoice::of(policy, self.profile.as_deref());
                 Upgrade::Policy(Box::new(PolicyChoice { map: self.map.clone(), ..choice }))
             }
-            (_, Some(robot), _) => Upgrade::Robot(robot.clone()),
-            (_, _, Some(engine)) => Upgrade::Engine(engine.clone()),
+            (_, Some(robot), ..) => Upgrade::Robot(robot.clone()),
+            (_, _, Some(engine), _) => Upgrade::Engine(engine.clone()),
+            (.., Some(env)) => Upgrade::Environment(env.clone()),
             _ => Upgrade::Packages(self.env_with.clone()),
         }
     }

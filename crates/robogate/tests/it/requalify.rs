@@ -149,6 +149,23 @@ fn upgrades_get_their_answer() {
     }
 }
 
+/// The environment of the run is its copy in the run's folder; the other one is the user's file as it is now.
+#[test]
+fn another_version_of_the_environment_is_an_upgrade() {
+    let Some(bench) = Bench::new() else { return };
+    let edited = |text: &str| fs::write(bench.at("cell.py"), text).unwrap();
+    edited(&format!("# No change.\n{CELL}"));
+    let found = bench.requalify(&["--env", "cell.py"], 0, "no_relevant_change");
+    assert_eq!(found["identical"], found["pairs"][0], "{found:#}");
+    assert_eq!(found["repeats_run"][0], found["repeats_run"][1], "{found:#}");
+    edited(&CELL.replace("lambda observation: np.array([1.0])", "lambda observation: np.array([-1.0])"));
+    let found = bench.requalify(&["--env", "cell.py"], 1, "success_changed");
+    assert_eq!(found["upgrade"], "environment cell.py");
+    edited("raise RuntimeError('half edited')\n");
+    let found = bench.requalify(&["--env", "cell.py"], 1, "cannot_run");
+    assert!(found["changes"].to_string().contains("half edited"), "{found:#}");
+}
+
 #[test]
 fn bisection_finds_the_first_changed_version() {
     let Some(bench) = Bench::new() else { return };
@@ -169,7 +186,8 @@ fn impossible_upgrades_are_refused() {
     let refused = [
         (&["--env-with", "standin"][..], "expected PACKAGE==VERSION"),
         (&["--env-with", "standin==9.9"], "No matching distribution"),
-        (&["--engine", "rapier"], "--env-with or --policy"),
+        (&["--engine", "rapier"], "--env, --env-with or --policy"),
+        (&["--env", "gone.py"], "gone.py: no such file"),
         (&["--env-with", "a==1", "b==2", "--bisect"], "needs one package"),
         (&["--env-with", "standin==2.0", "--margin", "2"], "between 0 and 1"),
     ];

@@ -274,7 +274,20 @@ fn seeds(table: &Table<'_>) -> Outcome {
     let distinct: BTreeSet<&String> = groups.keys().map(|(_, seed)| seed).collect();
     let mut rows: Vec<usize> = groups.values().flat_map(|rows| rows.iter().skip(1)).copied().collect();
     rows.sort_unstable();
+    let scenarios: BTreeSet<_> = groups.keys().map(|(scenario, _)| scenario).collect();
+    let repeated = !rows.is_empty();
+    if !repeated && 2 * distinct.len() <= table.rows.len() && 2 * scenarios.len() > table.rows.len() {
+        return Err(format!(
+            "{} seeds occur in {} rows, each time with other numbers in {}. If a column of these is a result of the episode, leave \
+             it out with --map ignore=COLUMN",
+            distinct.len(),
+            table.rows.len(),
+            names(&table.parameters).join(", ")
+        ));
+    }
     let what = if distinct.len() == 1 {
+        // No row repeats another one more than all others do.
+        rows.clear();
         format!(
             "All {} rows have the same seed. It is that of the run, so it does not identify an episode",
             table.rows.len()
@@ -286,7 +299,7 @@ fn seeds(table: &Table<'_>) -> Outcome {
             table.rows.len()
         )
     };
-    Ok((if rows.is_empty() { Vec::new() } else { vec![problem(what, &rows)] }, names(&table.seed)))
+    Ok((if repeated { vec![problem(what, &rows)] } else { Vec::new() }, names(&table.seed)))
 }
 
 /// Sizes of batches that are tried if no column names the environment.

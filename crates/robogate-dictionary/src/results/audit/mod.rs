@@ -12,7 +12,7 @@ use std::path::Path;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Aggregates, Format, Mapping, Role, columns, format_of, read};
+use super::{Aggregates, Format, Input, Mapping, Role};
 use crate::DictionaryError;
 use table::Table;
 
@@ -91,7 +91,7 @@ impl Check {
                 "Run the same number of episodes in each environment, and check the reset and the seed of each position."
             }
             Self::RepeatedSeeds => {
-                "Give each episode its own seed. Episodes with the same seed and task are copies, not new evidence."
+                "Give each episode its own seed. With a policy that decides without chance, episodes with the same seed and scenario are copies, not new evidence."
             }
         }
     }
@@ -175,17 +175,18 @@ impl Audit {
 /// # Errors
 /// If the file cannot be read, has no rows, or does not report success and failure.
 pub fn audit(path: &Path, format: Option<Format>, mapping: &Mapping) -> Result<Audit, DictionaryError> {
-    let format = format_of(path, format)?;
+    let input = Input::new(path, format)?;
+    let format = input.format;
     if format == Format::Published {
         let reason = "the published JSON has one layout, whose import checks every row\nHint: robogate import";
         return Err(DictionaryError::results(path, reason));
     }
-    let columns = columns(format, path);
+    let columns = input.columns();
     let mapped = mapping.roles.contains_key(&Role::Success);
     let mapping = mapping.over(&format.mapping()).found_in(&columns);
     let mut aggregates = Aggregates::new(mapping.column(Role::Success), mapped);
     let mut table = Table::new(&mapping, &columns);
-    let frame = read(format, path, &mut |row| {
+    let frame = input.read(&mut |row| {
         aggregates.take(row);
         table.push(path, row)
     })?;

@@ -6,7 +6,7 @@ use super::Field;
 use crate::codec::{Interner, number_as_integer};
 use crate::columns::{Cell, Columns, Kind};
 use crate::export::{Number, number};
-use crate::{DictionaryError, Entry, Provenance, Row};
+use crate::{DictionaryError, Entry, Provenance, RowPlace};
 
 /// The conversion from rows to entries.
 pub(super) struct Plan<'a> {
@@ -20,11 +20,11 @@ pub(super) struct Plan<'a> {
 
 impl Plan<'_> {
     pub(super) fn entry(&mut self, fields: &[Field], words: &mut Interner) -> Result<Entry, DictionaryError> {
-        let row = Row(self.row);
+        let place = RowPlace::Row(self.row);
         self.row += 1;
         let wrong = |column: &str, value: &str, reason: &str| DictionaryError::Value {
             path: self.path.to_owned(),
-            row,
+            place,
             column: column.to_owned(),
             value: value.to_owned(),
             reason: reason.to_owned(),

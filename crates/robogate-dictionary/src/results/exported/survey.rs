@@ -13,7 +13,7 @@ use crate::export::{Number, number};
 use crate::fields::{MOST_WORDS, continuous, integers};
 use crate::raw::MOST_MODES;
 use crate::results::{About, Format, task};
-use crate::{DictionaryError, Engine, Provenance, Robot, Row, SCHEMA_VERSION, Source, Tool};
+use crate::{DictionaryError, Engine, Provenance, Robot, RowPlace, SCHEMA_VERSION, Source, Tool};
 
 /// The results of the first pass.
 pub(super) struct Survey<'a> {
@@ -114,7 +114,7 @@ impl<'a> Survey<'a> {
             }
         }
         if self.modes.len().max(self.phases.len()) > MOST_MODES {
-            let reason = format!("{}: it has more than {MOST_MODES} failure modes or phases", Row(self.rows));
+            let reason = format!("{}: it has more than {MOST_MODES} failure modes or phases", RowPlace::Row(self.rows));
             return Err(DictionaryError::results(self.path, reason));
         }
         self.without_time += u64::from(ending != "invalid" && fields[time] == Field::Missing);
@@ -234,7 +234,7 @@ fn other_columns(path: &Path) -> DictionaryError {
 fn wrong(path: &Path, row: u64, column: &str, value: &str, reason: &str) -> DictionaryError {
     DictionaryError::Value {
         path: path.to_owned(),
-        row: Row(row),
+        place: RowPlace::Row(row),
         column: column.to_owned(),
         value: value.to_owned(),
         reason: reason.to_owned(),
