@@ -47,7 +47,8 @@ impl Touched {
     }
 }
 
-/// The largest normal force (N) between one body of each region and one thing that it touches. `None` without a contact.
+/// The largest normal force (N) of each region on one thing: the sum of its bodies as a vector, or the force of one of them if that is
+/// larger. `None` without a contact.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct RegionForces([[Option<f64>; 2]; 3]);
 

@@ -1,6 +1,6 @@
 //! What the rows themselves say about the evidence: copies of episodes, and actions outside of their range.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use robogate_stats::format::percent;
 
@@ -41,10 +41,18 @@ pub(crate) fn clipped_actions<'a>(trials: impl Iterator<Item = &'a Trial>) -> Op
 }
 
 /// The number of distinct trajectories among the valid episodes. `None` if a trajectory was not recorded.
+///
+/// Episodes with equal observations and different results, such as those of a part whose friction nobody sees, are no copies.
 pub(crate) fn distinct_trajectories<'a>(trials: impl Iterator<Item = &'a Trial>) -> Option<u64> {
-    let valid = trials.filter(|trial| trial.ending.is_valid());
-    let trajectories: Option<BTreeSet<u64>> = valid.map(|trial| trial.trajectory).collect();
-    trajectories.map(|distinct| distinct.len() as u64).filter(|distinct| *distinct > 0)
+    // The endings and measures of each trajectory.
+    let mut trajectories: BTreeMap<u64, Vec<String>> = BTreeMap::new();
+    for trial in trials.filter(|trial| trial.ending.is_valid()) {
+        let result = format!("{:?} {:?}", trial.ending, trial.measures);
+        trajectories.entry(trial.trajectory?).or_default().push(result);
+    }
+    let differ = |results: &Vec<String>| results.iter().any(|result| *result != results[0]);
+    let distinct = trajectories.values().map(|results| if differ(results) { results.len() as u64 } else { 1 }).sum();
+    Some(distinct).filter(|distinct| *distinct > 0)
 }
 
 /// Why most trajectories are copies of others, so that the episodes are not evidence. `None` if enough are distinct.

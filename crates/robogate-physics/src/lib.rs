@@ -5,6 +5,7 @@
 //! combines an engine with the drives that follow joint commands and the suction cup that holds an object.
 
 pub mod contact;
+mod contact_sums;
 pub mod description;
 #[cfg(feature = "mujoco")]
 mod draft;

@@ -69,14 +69,14 @@ fn statistic(residuals: &[f64]) -> f64 {
 }
 
 /// Blocks of neighbouring rows, and the p-value of the test, if rows depend on their neighbours. `columns` are the parameters
-/// of the rows, `numeric` those of them that a smooth model of the outcome can use. `None` for rows that are sorted by their
-/// outcomes or by a column, as a sweep writes them: the order of the rows is then that of a setting.
+/// of the rows, `numeric` those of them that a smooth model of the outcome can use. `None` for rows that are sorted by a column, as a
+/// sweep writes them: the order of the rows is then that of a setting. Rows that are sorted by their outcomes depend on each other: nothing
+/// tells them from those of a robot that broke down.
 pub fn blocks_of_neighbours(success: &[bool], columns: &[&[f64]], numeric: &[&[f64]]) -> Option<(f64, Clusters)> {
     let rows = success.len().min(MOST_ROWS);
-    let changes = success[..rows].windows(2).filter(|pair| pair[0] != pair[1]).count();
     // A sweep has a few levels.
     let sorted = |column: &&[f64]| changes_in_order(&column[..rows]).is_some_and(|changes| changes < MOST_LEVELS);
-    if rows < 2 * LAG || changes <= 2 || columns.iter().any(sorted) {
+    if rows < 2 * LAG || columns.iter().any(sorted) {
         return None;
     }
     let numeric: Vec<&[f64]> = numeric.iter().map(|column| &column[..rows]).collect();
@@ -161,6 +161,17 @@ mod tests {
         assert!(found(0.0, warm) <= 4, "{}", found(0.0, warm));
         // A sweep: the order is that of a setting.
         assert_eq!(found(0.29, |row, _| (row / 48) as f64), 0);
+    }
+
+    #[test]
+    fn a_breakdown_is_found() {
+        let of = |failed: std::ops::Range<usize>| -> Vec<bool> { (0..600).map(|row| !failed.contains(&row)).collect() };
+        for failed in [350..480, 467..600, 0..133] {
+            assert!(blocks_of_neighbours(&of(failed.clone()), &[], &[]).is_some(), "{failed:?}");
+        }
+        for failed in [599..600, 0..1, 300..301] {
+            assert!(blocks_of_neighbours(&of(failed.clone()), &[], &[]).is_none(), "{failed:?}");
+        }
     }
 
     #[test]

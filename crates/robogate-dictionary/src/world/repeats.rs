@@ -116,7 +116,7 @@ impl Repeats {
     /// That seeds have no effect, for reports. `None` if they have, or if this was not tried.
     pub fn seeds_line(&self) -> Option<String> {
         self.seeds_without_effect.then(|| {
-            "Seeds: an episode with another seed had the same start and the same trajectory. Only parameters make episodes differ"
+            "Seeds: an episode with another seed had the same observations. If seeds have no effect, only parameters make episodes differ"
                 .to_owned()
         })
     }

@@ -4,10 +4,10 @@ use std::cmp::Ordering;
 
 use mujoco_rs::prelude::*;
 use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
-use robogate_core::{ContactBetween, ContactPoint, Fault, Region, Touched};
+use robogate_core::{ContactBetween, ContactPoint, Fault, Region};
 
 use super::{Kind, Loaded};
-use crate::engine::Collision;
+use crate::contact_sums::Thing;
 use crate::friction::{Against, Coefficients, Friction};
 use crate::{Hit, Side, Touches, Wrench};
 
@@ -42,23 +42,29 @@ impl Loaded {
             if contact.efc_address < 0 || contact.geom1 < 0 || contact.geom2 < 0 {
                 continue;
             }
-            let (body, other) = match (self.kinds[contact.geom1 as usize], self.kinds[contact.geom2 as usize]) {
+            let force = self.data.contact_force(i)[0];
+            // The normal points from the first shape to the second, and the force acts on the second.
+            let normal = Vector3::new(contact.frame[0], contact.frame[1], contact.frame[2]);
+            let is_robot = |geom: i32| matches!(self.kinds[geom as usize], Kind::Robot { .. });
+            let (body, thing, normal) = match (self.kinds[contact.geom1 as usize], self.kinds[contact.geom2 as usize]) {
                 (Kind::Robot { body, finger }, Kind::Object(object))
                 | (Kind::Object(object), Kind::Robot { body, finger }) => {
-                    let force = self.data.contact_force(i)[0];
                     match finger {
                         _ if object != selected => {}
                         Some(finger) => *touches.fingers[finger].get_or_insert(0.0) += force,
                         None => touches.body_on_object = true,
                     }
-                    add(&mut self.forces, (body, None), force);
-                    continue;
+                    (body, Thing::Part(object), if is_robot(contact.geom1) { normal } else { -normal })
                 }
-                (Kind::Robot { body, .. }, Kind::Fixture(fixture))
-                | (Kind::Fixture(fixture), Kind::Robot { body, .. }) => (body, Hit::Fixture(fixture)),
+                (Kind::Robot { body, .. }, Kind::Fixture(fixture)) => {
+                    (body, Thing::Surroundings(Hit::Fixture(fixture)), normal)
+                }
+                (Kind::Fixture(fixture), Kind::Robot { body, .. }) => {
+                    (body, Thing::Surroundings(Hit::Fixture(fixture)), -normal)
+                }
                 // The body nearer to the tool hits the other one.
                 (Kind::Robot { body: one, .. }, Kind::Robot { body: two, .. }) => {
-                    (one.max(two), Hit::Itself(one.min(two)))
+                    (one.max(two), Thing::Surroundings(Hit::Itself(one.min(two))), if one > two { normal } else { -normal })
                 }
                 (first, second) if first == Kind::Object(selected) || second == Kind::Object(selected) => {
                     touches.object_on_fixture = true;
@@ -66,18 +72,9 @@ impl Loaded {
                 }
                 _ => continue,
             };
-            add(&mut self.forces, (body, Some(other)), self.data.contact_force(i)[0]);
+            self.forces.add(body, self.regions[body], thing, force, normal);
         }
-        for ((robot_body, other), force) in self.forces.iter().copied() {
-            touches.peak_force = Some(touches.peak_force.unwrap_or(0.0).max(force));
-            let touched = if other.is_some() { Touched::Surroundings } else { Touched::Part };
-            touches.regions.raise(self.regions[robot_body], touched, force);
-            if let Some(hit) = other
-                && touches.collision.is_none_or(|strongest| force > strongest.force)
-            {
-                touches.collision = Some(Collision { robot_body, hit, force });
-            }
-        }
+        self.forces.write(&self.regions, touches);
     }
 
     /// Wrench of the fixtures and the other free bodies on the object in the last step, about its centre of mass.
@@ -206,13 +203,5 @@ fn contact_friction(model: &MjModel, a: usize, b: usize) -> f64 {
         Ordering::Greater => friction,
         Ordering::Less => other,
         Ordering::Equal => friction.max(other),
-    }
-}
-
-/// Adds to the force between a robot body and what it touches (`None`: the object).
-fn add(forces: &mut Vec<((usize, Option<Hit>), f64)>, pair: (usize, Option<Hit>), force: f64) {
-    match forces.iter_mut().find(|(known, _)| *known == pair) {
-        Some((_, sum)) => *sum += force,
-        None => forces.push((pair, force)),
     }
 }

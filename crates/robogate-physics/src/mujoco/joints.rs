@@ -6,7 +6,7 @@ use mujoco_rs::wrappers::mj_editing::MjsBody;
 use nalgebra::{Isometry3, Vector3};
 
 use super::Loaded;
-use crate::{Joint, JointKind};
+use crate::{Joint, JointKind, contact};
 
 /// A kind of joint as MuJoCo names it.
 pub(super) fn kind(kind: JointKind) -> MjtJoint {
@@ -31,7 +31,10 @@ pub(super) fn add(body: &mut MjsBody, name: &str, joint: &Joint, degrees: bool) 
     *added.axis_mut() = joint.axis.into();
     *added.range_mut() = joint.range.map(angle);
     added.set_limited(mjtLimited::mjLIMITED_TRUE);
-    // The defaults of a robot's file do not apply to the scene.
+    // The defaults of a robot's file do not apply to the scene. With those of MuJoCo, a hand that pushes with 37 N moves a part of
+    // 150 g by 5 mm past its stop.
+    added.solref_limit_mut()[..2].copy_from_slice(&[contact::TIME_CONSTANT_S, 1.0]);
+    added.solimp_limit_mut()[..3].copy_from_slice(&contact::LIMIT_IMPEDANCE);
     added.stiffness_mut().fill(0.0);
     added.stiffness_mut()[0] = joint.stiffness;
     added.damping_mut().fill(0.0);

@@ -27,11 +27,12 @@ use robogate_core::{ContactPoint, Fault, FaultKind, Region};
 use self::damping::Strong;
 pub use self::export::{Input, Tape};
 use self::sweep::DriveAt;
+use crate::contact_sums::ContactSums;
 use crate::finger_motion::DriveReading;
 use crate::friction::Friction;
 use crate::robot_model::Built;
 use crate::{
-    BELLOWS_JOINT, Chain, Engine, EngineBuild, FingerMotion, FixtureRead, FreeBodyRead, Hit, JointTargets, Motion,
+    BELLOWS_JOINT, Chain, Engine, EngineBuild, FingerMotion, FixtureRead, FreeBodyRead, JointTargets, Motion,
     Primitive, Readback, Robot, RobotError, Scene, Side, Touches, Wrench, isometry, robot_model,
 };
 
@@ -104,8 +105,7 @@ struct Loaded {
     selected: usize,
     tcp: usize,
     touches: Touches,
-    /// Force of each touching pair in the last step: robot body, and what it touches; `None` is the object.
-    forces: Vec<((usize, Option<Hit>), f64)>,
+    forces: ContactSums,
     scene: Scene,
     /// The fixtures that move.
     movers: Vec<Mover>,
@@ -397,7 +397,7 @@ impl Engine for MujocoEngine {
             selected: 0,
             tcp,
             touches: Touches::default(),
-            forces: Vec::new(),
+            forces: ContactSums::default(),
             scene: scene.clone(),
             movers,
             steps: 0,

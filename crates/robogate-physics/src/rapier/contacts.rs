@@ -4,10 +4,11 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use rapier3d_f64::geometry::{ColliderHandle, Contact, ContactManifold, ContactPair};
 use rapier3d_f64::math::Vector;
 use rapier3d_f64::prelude::CoefficientCombineRule;
-use robogate_core::{ContactBetween, ContactPoint, Fault, Touched};
+use robogate_core::{ContactBetween, ContactPoint, Fault};
 
 use super::{Kind, Loaded, SUBSTEPS};
 use crate::description::isometry;
+use crate::contact_sums::Thing;
 use crate::engine::Collision;
 use crate::friction::{Against, Coefficients, Friction};
 use crate::{Hit, Side, Touches, Wrench, contact};
@@ -249,7 +250,7 @@ impl Loaded {
             }
             let force = impulse(pair) / dt;
             let touches = &mut self.touches;
-            let (body, other) = match (one, two) {
+            let (body, thing, sign) = match (one, two) {
                 (Kind::Robot { body, finger, .. }, Kind::Object(object))
                 | (Kind::Object(object), Kind::Robot { body, finger, .. }) => {
                     match finger {
@@ -257,32 +258,23 @@ impl Loaded {
                         Some(finger) => *touches.fingers[finger].get_or_insert(0.0) += force,
                         None => touches.body_on_object = true,
                     }
-                    (body, None)
+                    (body, Thing::Part(object), if matches!(one, Kind::Robot { .. }) { 1.0 } else { -1.0 })
                 }
-                (Kind::Robot { body, .. }, Kind::Fixture(fixture))
-                | (Kind::Fixture(fixture), Kind::Robot { body, .. }) => (body, Some(fixture)),
+                (Kind::Robot { body, .. }, Kind::Fixture(fixture)) => {
+                    (body, Thing::Surroundings(Hit::Fixture(fixture)), 1.0)
+                }
+                (Kind::Fixture(fixture), Kind::Robot { body, .. }) => {
+                    (body, Thing::Surroundings(Hit::Fixture(fixture)), -1.0)
+                }
                 (one, two) if one == Kind::Object(self.selected) || two == Kind::Object(self.selected) => {
                     touches.object_on_fixture = true;
                     continue;
                 }
                 _ => continue,
             };
-            match self.forces.iter_mut().find(|(known, _)| *known == (body, other)) {
-                Some((_, sum)) => *sum += force,
-                None => self.forces.push(((body, other), force)),
-            }
+            self.forces.add(body, self.regions[body], thing, force, sign * direction(pair));
         }
-        for ((robot_body, other), force) in self.forces.iter().copied() {
-            let touches = &mut self.touches;
-            touches.peak_force = Some(touches.peak_force.unwrap_or(0.0).max(force));
-            let touched = if other.is_some() { Touched::Surroundings } else { Touched::Part };
-            touches.regions.raise(self.regions[robot_body], touched, force);
-            if let Some(fixture) = other
-                && touches.collision.is_none_or(|strongest| force > strongest.force)
-            {
-                touches.collision = Some(Collision { robot_body, hit: Hit::Fixture(fixture), force });
-            }
-        }
+        self.forces.write(&self.regions, &mut self.touches);
     }
 }
 
@@ -290,6 +282,16 @@ impl Loaded {
 fn solved(manifold: &ContactManifold) -> impl Iterator<Item = &Contact> {
     let ids = manifold.data.solver_contacts.iter().flat_map(|contact| contact.contact_indices());
     ids.filter_map(|id| manifold.points.get(id as usize))
+}
+
+/// The direction of the normal impulse of a pair over the last step, from the first body to the second. Zero without one.
+fn direction(pair: &ContactPair) -> Vector3<f64> {
+    let along = |manifold: &ContactManifold| {
+        let normal = manifold.data.normal;
+        Vector3::new(normal.x, normal.y, normal.z) * solved(manifold).map(|point| point.data.impulse).sum::<f64>()
+    };
+    let sum: Vector3<f64> = pair.manifolds().iter().map(along).sum();
+    sum.try_normalize(0.0).unwrap_or_default()
 }
 
 /// The normal impulse of a pair over the last step, in N s.

@@ -12,6 +12,7 @@ use robogate_core::{Fault, FaultKind, Region};
 
 use super::convert::{mass_properties, pose, primitive, solid};
 use super::{Kind, Loaded, RapierEngine, SUBSTEPS};
+use crate::contact_sums::ContactSums;
 use crate::description::{Description, Link};
 use crate::region::region;
 use crate::{BELLOWS_JOINT, Object, Primitive, Scene, Touches};
@@ -87,7 +88,7 @@ impl RapierEngine {
             cup_load: None,
             ball: scene.object.parts.iter().all(|part| matches!(part.primitive, Primitive::Sphere { .. })),
             touches: Touches::default(),
-            forces: Vec::new(),
+            forces: ContactSums::default(),
             scene: scene.clone(),
             movers,
             steps: 0,

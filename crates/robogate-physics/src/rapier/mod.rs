@@ -19,6 +19,7 @@ use rapier3d_f64::prelude::PhysicsWorld;
 use robogate_core::{ContactPoint, Fault, FaultKind, Region};
 
 use self::convert::{pose, quarter, read_primitive, vector};
+use crate::contact_sums::ContactSums;
 use crate::description::{Description, isometry};
 use crate::friction::Friction;
 use crate::{
@@ -84,7 +85,7 @@ struct Loaded {
     ball: bool,
     touches: Touches,
     /// Force of each touching pair in the last step: robot body, and fixture or object.
-    forces: Vec<((usize, Option<usize>), f64)>,
+    forces: ContactSums,
     scene: Scene,
     /// Fixtures that move: their index in the scene and their body.
     movers: Vec<(usize, RigidBodyHandle)>,

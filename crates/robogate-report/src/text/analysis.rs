@@ -96,7 +96,9 @@ fn dependent(analysis: &Analysis, of: &ClusterReport) -> String {
         of.groupings.iter().map(|group| format!("{} ({})", group.by, count(group.clusters))).collect();
     let found = match of.serial_p {
         Some(_) => format!(
-            "Neighbouring rows of the file depend on each other, so {} of them are counted instead of episodes. If sessions, days or              operators explain it, name their column with `--groups`.",
+            "Neighbouring rows of the file depend on each other, so {} of them are counted instead of episodes. If sessions, days or \
+             operators explain it, name their column with `--groups`. If the file was sorted by its outcomes, import the rows in the order \
+             in which they were recorded.",
             counted(of.clusters, "block")
         ),
         None => format!("The episodes are not independent: they repeat {}.", list(&by)),

@@ -19,7 +19,7 @@ from .cameras import Cameras
 from .disturbances import Disturbances
 from .environment import DeclarationError, Environment, innermost
 from .foreign import Translated, holds_tensors, plain, translated
-from .knobs import Knob, differs
+from .knobs import Knob, Undoing, differs
 from .layers import action_masks
 from .model import Model, NoModel
 from .motion import Recorder
@@ -125,6 +125,7 @@ class Adapter:
             raise
 
     def _offer(self, knobs: list[Knob]) -> None:
+        self._undoing = Undoing()
         self.knobs = knobs
         self._by_parameter = {knob.parameter: knob for knob in knobs}
         self._order = {knob.parameter: position for position, knob in enumerate(knobs)}
@@ -302,18 +303,17 @@ class Adapter:
         if self._model is not None:
             self._model.before_reset()
         self._disturbances.begin(scenario.seed, scenario.index)
-        for knob, value in requested:
-            if knob.before_reset:
-                knob.set(self._env, value)
-        _seed_generators(_seed(scenario))
-        observation, info = self._env.reset(seed=_seed(scenario))
+        self._undoing.begin(self._env)
+        observation, info = self._started(scenario, requested)
+        if self._undoing.kept(self._env):
+            observation, info = self._started(scenario, requested)
         if self._model is not None:
             self._model.bind(self._env)
             if self._model.differs and (bound := [knob.name for knob, _ in requested if is_bound(knob, self._environment)]):
                 raise Problem("not_applied", f"the reset built a model with other bodies or joints, so {bound[0]} has no meaning")
         for knob, value in requested:
             if not knob.before_reset:
-                knob.set(self._env, value)
+                self._set(knob, value)
         if self._model is not None and requested:
             self._model.finish()
         if any(knob.moves for knob, _ in requested):
@@ -344,6 +344,20 @@ class Adapter:
         if self._task.episode_instruction is not None:
             reply["instance"] = {"instruction": self._task.episode_instruction(self._env)}
         return reply
+
+    def _started(self, scenario: Any, requested: list[tuple[Knob, Any]]) -> tuple[Any, dict]:
+        for knob, value in requested:
+            if knob.before_reset:
+                self._set(knob, value)
+        _seed_generators(_seed(scenario))
+        return self._env.reset(seed=_seed(scenario))
+
+    def _set(self, knob: Knob, value: Any) -> None:
+        # RoboGate's own knobs undo themselves.
+        if any(knob is one for one in self._environment.knobs):
+            self._undoing.set(knob, self._env, value)
+        else:
+            knob.set(self._env, value)
 
     def _read(self, knob: Knob) -> Any:
         value = knob.read(self._env)

@@ -30,7 +30,7 @@ class Knob:
     """
 
     name: str
-    # (env, value): makes the change. The next reset of the environment must undo it, or the next call must override it.
+    # (env, value): makes the change. It is undone before the next episode, if the reset does not do that: see `Undoing`.
     set: Callable[[Any, Any], None]
     # (env) -> the value that acts.
     read: Callable[[Any], Any]
@@ -119,3 +119,53 @@ def differs(wanted: Any, found: Any) -> bool:
     if isinstance(wanted, str) or isinstance(found, str):
         return wanted != found
     return not abs(wanted - found) <= 1e-6 * max(abs(wanted), 0.1)
+
+
+class Undoing:
+    """Gives knobs back the values that they had before their first change.
+
+    Most resets do that. Where one does not, the reset has also used the value of the episode before, for example for a start or an
+    observation. Then it runs again, and from then on the first value is set before each reset.
+    """
+
+    def __init__(self) -> None:
+        # By parameter. None where neither `read` nor `nominal` knows it.
+        self._first: dict[str, Any] = {}
+        self._kept: dict[str, Knob] = {}
+        self._before: list[tuple[Knob, Any]] = []
+        self._now: list[tuple[Knob, Any]] = []
+
+    def begin(self, env: Any) -> None:
+        """Before the reset of an episode."""
+        self._before, self._now = self._now, []
+        for parameter, knob in self._kept.items():
+            knob.set(env, self._first[parameter])
+
+    def set(self, knob: Knob, env: Any, value: Any) -> None:
+        if knob.parameter not in self._first:
+            self._first[knob.parameter] = _found(knob, env, knob.nominal)
+        knob.set(env, value)
+        self._now.append((knob, value))
+
+    def kept(self, env: Any) -> bool:
+        """Whether the reset that has just run left a knob as the episode before had set it. Then it must run again."""
+        overridden = {knob.parameter for knob, _ in self._now}
+        found = []
+        for knob, value in self._before:
+            first = self._first[knob.parameter]
+            open_ = knob.parameter not in overridden and knob.parameter not in self._kept
+            if open_ and first is not None and differs(first, value) and not differs(value, _found(knob, env, first)):
+                found.append(knob)
+        self._kept |= {knob.parameter: knob for knob in found}
+        for knob in found:
+            knob.set(env, self._first[knob.parameter])
+        return bool(found)
+
+
+def _found(knob: Knob, env: Any, otherwise: Any) -> Any:
+    """The value that acts, if it can be read outside of an episode."""
+    try:
+        found = knob.read(env)
+    except Exception:
+        return otherwise
+    return otherwise if found is None else found
