@@ -30,7 +30,7 @@ impl Population {
             Self::OperatingSpace => {
                 "the operating space, each parameter sampled uniformly over its range on its own scale"
             }
-            Self::AsImported => "the distribution of the imported rows; how they were sampled is not known",
+            Self::AsImported => "the distribution of the imported rows",
             Self::Suite => {
                 "the scenarios of the suite, which were selected: this is not the rate of the operating space"
             }

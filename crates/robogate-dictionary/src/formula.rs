@@ -10,8 +10,8 @@ fn is_formula(word: &str) -> bool {
     word.trim_start_matches('\'').starts_with(['=', '@', '+', '-', '\t', '\r'])
 }
 
-/// A word as a cell of a spreadsheet.
-pub(crate) fn marked(word: &str) -> Cow<'_, str> {
+/// A word as a cell of a spreadsheet: one that it would compute gets an apostrophe, which our readers remove.
+pub fn marked(word: &str) -> Cow<'_, str> {
     if is_formula(word) { Cow::Owned(format!("'{word}")) } else { Cow::Borrowed(word) }
 }
 

@@ -266,7 +266,7 @@ impl ProductionFigures {
                 high: inverse(assists.interval.low),
             },
             longest_clean_run: ProductionFigure {
-                at: Some(longest_run(trials.iter().copied(), None)),
+                at: Some(median_run(n, (n - failures) as f64 / n as f64) as f64),
                 low: Some(median_run(n, rate.low) as f64),
                 high: Some(median_run(n, rate.high) as f64),
             },
@@ -283,7 +283,7 @@ impl ProductionFigures {
             ("units per hour", "", self.units_per_hour),
             ("mean cycles between failures", "", self.mean_cycles_between_failures),
             ("time between assists", "s", self.time_between_assists_s),
-            ("longest clean run", "episodes", self.longest_clean_run),
+            ("longest clean run, median", "episodes", self.longest_clean_run),
             ("median cycle time", "s", self.median_cycle_time_s),
             ("90 % quantile of cycle time", "s", self.p90_cycle_time_s),
         ]

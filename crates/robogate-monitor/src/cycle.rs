@@ -1,10 +1,12 @@
 //! One cycle of a robot, as it reports it.
 
 use std::collections::BTreeMap;
+use std::fmt;
 
 use robogate_stats::format::is_deceptive;
 use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
+use serde::de::{Error, MapAccess, Visitor};
+use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::events;
 use crate::modes::OTHER_MODE;
@@ -47,7 +49,7 @@ pub struct Cycle {
 
 /// The value of a reported parameter.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(untagged)]
+#[serde(untagged, expecting = "a parameter is neither a number nor a word")]
 pub enum ParameterValue {
     /// A number, in the unit of the parameter's name.
     Number(f64),
@@ -67,7 +69,7 @@ pub enum CycleError {
         field: &'static str,
     },
     /// A number outside its range.
-    #[error("`{field}` is {value}, but must be {range}")]
+    #[error("`{field}` is {value:?}, but must be {range}")]
     Number {
         /// The field.
         field: String,
@@ -116,8 +118,32 @@ struct Written {
     collision: Option<bool>,
     #[serde(default)]
     cycle_time_s: Option<f64>,
-    #[serde(default)]
+    #[serde(default, deserialize_with = "unique")]
     parameters: BTreeMap<String, ParameterValue>,
+}
+
+/// Parameters, of which none is given twice.
+fn unique<'de, D: Deserializer<'de>>(deserializer: D) -> Result<BTreeMap<String, ParameterValue>, D::Error> {
+    struct Parameters;
+    impl<'de> Visitor<'de> for Parameters {
+        type Value = BTreeMap<String, ParameterValue>;
+
+        fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+            f.write_str("parameters with their values")
+        }
+
+        fn visit_map<A: MapAccess<'de>>(self, mut entries: A) -> Result<Self::Value, A::Error> {
+            let mut found = BTreeMap::new();
+            while let Some((name, value)) = entries.next_entry::<String, ParameterValue>()? {
+                if found.contains_key(&name) {
+                    return Err(A::Error::custom(format!("the parameter `{}` is given twice", name.escape_debug())));
+                }
+                found.insert(name, value);
+            }
+            Ok(found)
+        }
+    }
+    deserializer.deserialize_map(Parameters)
 }
 
 impl TryFrom<Written> for Cycle {
@@ -157,7 +183,12 @@ impl Cycle {
             if good { Ok(()) } else { Err(CycleError::Number { field: field.to_owned(), value, range }) }
         };
         // 253402300800 is the end of the year 9999. Milliseconds that are sent as seconds lie beyond it.
-        number("time_s", self.time_s, 253_402_300_800.0, "seconds since 1970, from 0 to 253402300800")?;
+        number(
+            "time_s",
+            self.time_s,
+            253_402_300_800.0,
+            "seconds since 1970, from 0 to 253402300800: divide milliseconds by 1000",
+        )?;
         if let Some(time) = self.cycle_time_s {
             number("cycle_time_s", time, 1e6, "seconds from 0 to 1000000")?;
         }
@@ -221,9 +252,11 @@ mod tests {
             cycle(&format!(r#"{{"id":"a","robot":"r","recipe":"x","time_s":1,"success":true{more}}}"#)).unwrap_err()
         };
         assert!(with(r#","failure_mode":"timeout""#).contains("although `success` is true"));
-        assert!(with(r#","cycle_time_s":-1"#).contains("`cycle_time_s` is -1"));
+        assert!(with(r#","cycle_time_s":-1"#).contains("`cycle_time_s` is -1.0"));
         let milliseconds = r#"{"id":"a","robot":"r","recipe":"x","time_s":1795254000000,"success":true}"#;
         assert!(cycle(milliseconds).unwrap_err().contains("seconds since 1970"));
+        assert!(with(r#","parameters":{"m":1,"m":2}"#).contains("the parameter `m` is given twice"));
+        assert!(with(r#","parameters":{"m":[1]}"#).contains("a parameter is neither a number nor a word"));
         assert!(cycle(r#"{"id":"","robot":"r","recipe":"x","time_s":1,"success":true}"#).unwrap_err().contains("`id`"));
     }
 

@@ -215,17 +215,16 @@ impl Domain {
         if all.all(|x| x.is_finite()) { Ok(()) } else { Err(DomainError::NotFinite) }
     }
 
-    /// Judges a cycle. Calls `outside` with the index in the envelope and the value of each parameter that lies
-    /// outside.
-    pub fn judge(&self, cycle: &Cycle, mut outside: impl FnMut(usize, &ParameterValue)) -> Judged {
+    /// Judges a cycle. Calls `seen` for each parameter of the envelope that it reports, with the parameter's index, its value, and whether
+    /// that lies outside.
+    pub fn judge(&self, cycle: &Cycle, mut seen: impl FnMut(usize, &ParameterValue, bool)) -> Judged {
         let (mut reported, mut beyond) = (false, false);
         for (place, (name, validated)) in self.envelope.iter().enumerate() {
             let Some(value) = cycle.parameters.get(name) else { continue };
             reported = true;
-            if !validated.holds(value) {
-                beyond = true;
-                outside(place, value);
-            }
+            let outside = !validated.holds(value);
+            beyond |= outside;
+            seen(place, value, outside);
         }
         let predicted = self.risk.as_ref().and_then(|risk| risk.of(cycle));
         let by_combination = !beyond && predicted.is_some_and(|(_, extrapolates)| extrapolates);
@@ -298,7 +297,7 @@ mod tests {
             format!(r#"{{"id":"a","robot":"r","recipe":"x","time_s":1,"success":true,"parameters":{parameters}}}"#);
         let cycle: Cycle = serde_json::from_str(&json).unwrap();
         let mut outside = Vec::new();
-        let judged = domain().judge(&cycle, |place, _| outside.push(place));
+        let judged = domain().judge(&cycle, |place, _, is_outside| outside.extend(is_outside.then_some(place)));
         (judged, outside)
     }
 
@@ -319,7 +318,7 @@ mod tests {
             let parameters = format!(r#"{{"mass_kg": {mass}, "friction": 0.5, "shape": "can"}}"#);
             let json =
                 format!(r#"{{"id":"a","robot":"r","recipe":"x","time_s":1,"success":true,"parameters":{parameters}}}"#);
-            domain.judge(&serde_json::from_str(&json).unwrap(), |_, _| {}).risk
+            domain.judge(&serde_json::from_str(&json).unwrap(), |_, _, _| {}).risk
         };
         let expected = 1.0 / (1.0 + f64::exp(4.0 - 5.0 * 0.3_f64.ln() + 1.0 - 1.5));
         assert!((risk(0.3).unwrap() - expected).abs() < 1e-15);
@@ -336,7 +335,7 @@ mod tests {
         let risk = |parameters: &str| {
             let json =
                 format!(r#"{{"id":"a","robot":"r","recipe":"x","time_s":1,"success":true,"parameters":{parameters}}}"#);
-            domain.judge(&serde_json::from_str(&json).unwrap(), |_, _| {}).risk
+            domain.judge(&serde_json::from_str(&json).unwrap(), |_, _, _| {}).risk
         };
         let expected = |trees: f64, spline: f64| 1.0 / (1.0 + f64::exp(0.1 + 0.5 * trees + 0.5 * spline));
         let can = risk(r#"{"mass_kg": 0.5, "friction": 0.5, "shape": "can"}"#).unwrap();

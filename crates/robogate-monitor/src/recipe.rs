@@ -68,6 +68,9 @@ pub struct RecipeState {
     pub(crate) history: History,
     /// One tally for each parameter of the envelope, in its order, and one for combinations.
     pub(crate) outside: Vec<OutsideTally>,
+    /// A parameter that cycles report and the envelope does not have.
+    #[serde(default)]
+    foreign: Option<String>,
     pub(crate) robots: BTreeMap<String, RobotState>,
     /// The course of the success rate and of the evidence.
     #[serde(default)]
@@ -96,6 +99,9 @@ pub struct OutsideTally {
     pub numbers: Option<[f64; 2]>,
     /// The first category.
     pub word: Option<String>,
+    /// Whether any cycle reported the parameter. A store of an earlier version says no.
+    #[serde(default)]
+    pub reported: bool,
 }
 
 impl OutsideTally {
@@ -229,6 +235,7 @@ impl Recipe {
             raised: 0,
             history: History::new(settings.history_cycles as usize),
             outside: Vec::new(),
+            foreign: None,
             robots: BTreeMap::new(),
             series: Series::default(),
         };
@@ -340,14 +347,32 @@ impl Recipe {
         self.state.inflation.get(of.index()).copied().flatten()
     }
 
-    /// Why the promise on false alarms is approximate: one sentence for each metric whose cycles depend on each other.
+    /// What the detectors do not watch, and why the promise on false alarms is approximate: one sentence each.
     pub fn doubts(&self, settings: &Settings) -> Vec<String> {
+        let unreported = self.unreported().map(|names| {
+            let foreign = self.state.foreign.as_ref();
+            let instead = foreign.map_or_else(String::new, |name| {
+                format!(" Cycles report {name}, which is no parameter of the validated region.")
+            });
+            format!(
+                "No cycle reported {}: nothing watches whether it stays in the validated region.{instead}",
+                names.join(", ")
+            )
+        });
         let metrics = Metric::all(settings).filter(|metric| *metric != Metric::Robot);
         let doubt = |metric: Metric| {
             let depends = explanation::depends(self.inflation(metric)?);
             Some(format!("The promise is approximate for the {}: {depends}.", metric.label(settings)))
         };
-        metrics.filter_map(doubt).collect()
+        unreported.into_iter().chain(metrics.filter_map(doubt)).collect()
+    }
+
+    /// The parameters of the envelope that no cycle has reported, after the first ones.
+    fn unreported(&self) -> Option<Vec<&str>> {
+        const FIRST: u64 = 10;
+        let named = self.outside().filter_map(|(parameter, tally)| (!tally.reported).then_some(parameter?.0));
+        let names: Vec<&str> = named.collect();
+        (self.state.cycles >= FIRST && !names.is_empty()).then_some(names)
     }
 
     /// Adds the score of a cycle to the sums of blocks, and looks for dependence now and then.
@@ -459,11 +484,18 @@ impl Recipe {
     fn judge(&mut self, cycle: &Cycle) -> Judged {
         let Some(domain) = &self.domain else { return Judged::default() };
         let (tallies, now) = (&mut self.state.outside, self.state.cycles);
-        let judged = domain.judge(cycle, |place, value| {
+        let judged = domain.judge(cycle, |place, value, outside| {
             if let Some(tally) = tallies.get_mut(place) {
-                tally.add(now, Some(value));
+                tally.reported = true;
+                if outside {
+                    tally.add(now, Some(value));
+                }
             }
         });
+        let foreign = |name: &&String| !domain.envelope.contains_key(*name);
+        if self.state.foreign.is_none() {
+            self.state.foreign = cycle.parameters.keys().find(foreign).cloned();
+        }
         if judged.by_combination
             && let Some(tally) = tallies.last_mut()
         {
@@ -576,7 +608,9 @@ impl Recipe {
         self.state.began.fill(self.state.cycles);
         // The sums contain the cycles of the cause.
         self.state.sums.fill(BlockSums::default());
-        self.state.outside.fill(OutsideTally::default());
+        for tally in &mut self.state.outside {
+            *tally = OutsideTally { reported: tally.reported, ..OutsideTally::default() };
+        }
         self.state.robots.values_mut().for_each(RobotState::forget);
     }
 
@@ -626,7 +660,12 @@ impl Recipe {
             if metric == Metric::Robot {
                 return self.robot_detector(settings);
             }
+            let silent = || {
+                matches!(metric, Metric::Outside | Metric::Risk)
+                    && self.unreported().is_some_and(|names| names.len() + 1 == self.state.outside.len())
+            };
             let levels = match (&self.factors[i], &self.state.evidence[i]) {
+                (Some(_), Some(_)) if silent() => Err("no cycle reported a parameter of the validated region"),
                 (Some(factors), Some(evidence)) => {
                     Ok(Level::ALL.map(|level| (evidence[level as usize].value(factors), settings.limit(metric, level))))
                 }

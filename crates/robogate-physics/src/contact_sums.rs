@@ -48,9 +48,16 @@ impl ContactSums {
                 touches.collision = Some(Collision { robot_body, hit, force });
             }
         }
+        let mut squeeze: f64 = 0.0;
         for ((region, thing), force) in &self.regions {
             touches.regions.raise(*region, touched(*thing), force.norm());
+            if *region == Region::Fingers {
+                let of_one = self.pairs.iter().filter(|((body, other), _)| regions[*body] == *region && other == thing);
+                let largest = of_one.map(|(_, force)| *force).fold(0.0, f64::max);
+                squeeze = squeeze.max(largest - force.norm());
+            }
         }
+        touches.squeeze = Some(squeeze);
     }
 }
 
@@ -74,7 +81,8 @@ mod tests {
 
     const BODIES: [Region; 2] = [Region::Fingers; 2];
 
-    fn force(of: &[(usize, usize, f64, [f64; 3])]) -> Option<f64> {
+    /// The force of the fingers on a part, and what they press against each other.
+    fn force(of: &[(usize, usize, f64, [f64; 3])]) -> (Option<f64>, f64) {
         let mut sums = ContactSums::default();
         for (body, part, force, direction) in of {
             sums.add(*body, Region::Fingers, Thing::Part(*part), *force, (*direction).into());
@@ -82,15 +90,15 @@ mod tests {
         let mut touches = Touches::default();
         sums.write(&BODIES, &mut touches);
         assert_eq!(touches.peak_force, of.iter().map(|(_, _, force, _)| *force).reduce(f64::max));
-        touches.regions.get(Region::Fingers, Touched::Part)
+        (touches.regions.get(Region::Fingers, Touched::Part), touches.grip(100.0))
     }
 
     #[test]
     fn a_thing_feels_the_sum_of_what_pushes_it() {
         let (down, left, right) = ([0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [0.0, -1.0, 0.0]);
-        assert_eq!(force(&[(0, 3, 26.5, down), (1, 3, 26.5, down)]), Some(53.0));
-        assert_eq!(force(&[(0, 3, 30.0, left), (1, 3, 30.0, right)]), Some(30.0));
-        assert_eq!(force(&[(0, 3, 20.0, down), (1, 4, 25.0, down)]), Some(25.0));
-        assert_eq!(force(&[]), None);
+        assert_eq!(force(&[(0, 3, 26.5, down), (1, 3, 26.5, down)]), (Some(53.0), 0.0));
+        assert_eq!(force(&[(0, 3, 30.0, left), (1, 3, 30.0, right)]), (Some(30.0), 30.0));
+        assert_eq!(force(&[(0, 3, 20.0, down), (1, 4, 25.0, down)]), (Some(25.0), 0.0));
+        assert_eq!(force(&[]), (None, 0.0));
     }
 }

@@ -377,6 +377,16 @@ pub struct Touches {
     pub peak_force: Option<f64>,
     /// The largest contact force of each region of the robot. Empty where an engine in another process does not report it.
     pub regions: RegionForces,
+    /// What the fingers press against each other through one thing. `None` where an engine in another process does not report it.
+    pub squeeze: Option<f64>,
+}
+
+impl Touches {
+    /// The force of a gripper that holds with `grip_force_n` newtons, as far as its fingers press against each other: two that push one
+    /// thing the same way hold nothing.
+    pub fn grip(&self, grip_force_n: f64) -> f64 {
+        self.squeeze.map_or(grip_force_n, |squeeze| squeeze.min(grip_force_n))
+    }
 }
 
 /// A contact of the robot with a fixture or with itself.

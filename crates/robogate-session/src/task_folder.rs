@@ -162,7 +162,7 @@ fn expert(
     if let Some((outcome, time_s)) = first
         && solved * 20 < episodes * 19
     {
-        let hint = "Hint: replay it with `robogate run --task DIR -n 1` and `robogate view`";
+        let hint = "Hint: watch it with `robogate run --task DIR --nominal -n 1 --out first` and `robogate view first`";
         checked.problems.push(format!("the expert fails at nominal: {outcome} after {time_s:.2} s\n{hint}"));
     }
     if solved > 0 && stages < declared as f64 {

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use robogate_core::Word;
-use robogate_dictionary::hex;
+use robogate_dictionary::{hex, spreadsheet_cell};
 use robogate_stats::format::date;
 use serde_json::json;
 use sha2::{Digest, Sha256};
@@ -11,8 +11,8 @@ use sha2::{Digest, Sha256};
 use crate::{Answer, JOURNAL, Problem, SUCCESS, Study};
 
 /// Columns beside the properties of the set-ups and the measure. None of these can have one of the names.
-pub(crate) const COLUMNS: [&str; 10] =
-    [SUCCESS, "failure_mode", "cycle_time_s", "policy", "case", "operator", "day", "index", "id", "stage"];
+pub(crate) const COLUMNS: [&str; 11] =
+    [SUCCESS, "failure_mode", "cycle_time_s", "policy", "case", "operator", "day", "index", "id", "stage", "notes"];
 /// The failure mode of a trial that was declared invalid after its end.
 const INVALID_AFTER: &str = "invalid_after_stop";
 
@@ -49,10 +49,15 @@ pub fn csv_of(study: &Study, policy: Option<usize>) -> String {
             index.to_string(),
             attempt.code.clone(),
             result.stage.map_or("", |stage| stage.as_str()).to_owned(),
+            result.notes,
         ];
         row.extend(study.plan.measure.map(|_| number(result.measured)));
         row.extend(planned.setup.iter().map(|(_, value)| value.clone()));
-        let _ = writer.write_record(&row);
+        // Operators type names and set-ups are files of others: a spreadsheet must not compute them.
+        let _ = writer.write_record(row.iter().map(|cell| match cell.parse::<f64>() {
+            Ok(_) => cell.clone(),
+            Err(_) => spreadsheet_cell(cell).into_owned(),
+        }));
     }
     String::from_utf8(writer.into_inner().unwrap_or_default()).unwrap_or_default()
 }
@@ -65,7 +70,7 @@ pub fn mapping(study: &Study) -> String {
     let measures = measure.map_or_else(String::new, |name| format!("[measures]\n{0} = {0:?}\n", name.as_str()));
     let task = Word::nearest(&study.plan.task).map_or("task", Word::as_str);
     format!(
-        "ignore = [\"index\", \"id\", \"stage\"]\n{measures}[about]\ntask = {}\nrobot = {}\nsimulator = \"real\"\n\
+        "ignore = [\"index\", \"id\", \"stage\", \"notes\"]\n{measures}[about]\ntask = {}\nrobot = {}\nsimulator = \"real\"\n\
          sampling = \"observed\"\nstopping = \"monitored\"\n",
         quoted(task),
         quoted(&study.plan.robot)

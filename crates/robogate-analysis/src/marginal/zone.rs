@@ -25,9 +25,9 @@ impl Zone {
     /// The name of the zone in reports.
     pub fn as_str(self) -> &'static str {
         match self {
-            Self::Safe => "safe",
+            Self::Safe => "mostly succeeds",
             Self::Boundary => "boundary",
-            Self::Danger => "danger",
+            Self::Danger => "mostly fails",
             Self::Undecided => "undecided",
             Self::TooFewEpisodes => "too few episodes",
         }
@@ -74,6 +74,9 @@ mod tests {
         let of = |k, n| Trials::new(k, n).unwrap();
         let cells = [of(700, 1_000), of(7, 10), of(0, 0), of(950, 1_000), of(500, 1_000), of(50, 1_000)];
         let names: Vec<&str> = Zone::of(&cells).into_iter().map(Zone::as_str).collect();
-        assert_eq!(names, ["undecided", "too few episodes", "too few episodes", "safe", "boundary", "danger"]);
+        assert_eq!(
+            names,
+            ["undecided", "too few episodes", "too few episodes", "mostly succeeds", "boundary", "mostly fails"]
+        );
     }
 }

@@ -115,7 +115,7 @@ pub struct RecipeStatus {
     pub all: RateStatus,
     /// The success rate of the baseline. `None` while it is being learnt.
     pub baseline: Option<f64>,
-    /// Why the promise on false alarms is approximate, one sentence for each metric whose cycles depend on each other.
+    /// What the detectors do not watch, and why the promise on false alarms is approximate, one sentence each.
     pub dependence: Vec<String>,
     /// Its detectors.
     pub detectors: Vec<DetectorStatus>,

@@ -63,9 +63,11 @@ impl Loaded {
                     (body, Thing::Surroundings(Hit::Fixture(fixture)), -normal)
                 }
                 // The body nearer to the tool hits the other one.
-                (Kind::Robot { body: one, .. }, Kind::Robot { body: two, .. }) => {
-                    (one.max(two), Thing::Surroundings(Hit::Itself(one.min(two))), if one > two { normal } else { -normal })
-                }
+                (Kind::Robot { body: one, .. }, Kind::Robot { body: two, .. }) => (
+                    one.max(two),
+                    Thing::Surroundings(Hit::Itself(one.min(two))),
+                    if one > two { normal } else { -normal },
+                ),
                 (first, second) if first == Kind::Object(selected) || second == Kind::Object(selected) => {
                     touches.object_on_fixture = true;
                     continue;

@@ -7,8 +7,8 @@ use rapier3d_f64::prelude::CoefficientCombineRule;
 use robogate_core::{ContactBetween, ContactPoint, Fault};
 
 use super::{Kind, Loaded, SUBSTEPS};
-use crate::description::isometry;
 use crate::contact_sums::Thing;
+use crate::description::isometry;
 use crate::engine::Collision;
 use crate::friction::{Against, Coefficients, Friction};
 use crate::{Hit, Side, Touches, Wrench, contact};

@@ -354,6 +354,7 @@ impl World {
             }),
             peak_force: force(7),
             regions: RegionForces::default(),
+            squeeze: None,
         };
         let turn = Rotation3::from_matrix_unchecked(Matrix3::from_fn(|row, column| at(11 + 3 * row + column)));
         let bodies = (0..self.bodies).map(|body| {

@@ -45,7 +45,7 @@ pub(super) fn map_table(map: &PairMap, counted: &str) -> Table {
         (&*x, Short),
         (counted, Number),
         ("success", Number),
-        ("Wilson 95 %", Number),
+        ("95 % interval", Number),
         ("model", Number),
         ("model 95 %", Number),
         ("zone", Zone),

@@ -140,7 +140,7 @@ pub fn what_to_change(
                 "A larger one, with the same options:"
             }
         );
-        let rounds = 2 * u64::from(evaluation.requirements.budget.rounds);
+        let rounds = 2 * evaluation.planned_rounds.unwrap_or_else(|| evaluation.requirements.budget.rounds.into());
         let command = format!("robogate gate{} --rounds {rounds} --seed {seed}", again.gate);
         add(&mut changes, text, if imported { String::new() } else { command });
     }

@@ -25,10 +25,7 @@ pub fn comparison_limits(of: &Comparison) -> Vec<String> {
         }
     }
     if of.datasets.iter().any(|d| d.excluded_because.is_none() && d.population == Population::AsImported) {
-        lines.push(
-            "Imported rows are treated as a sample of their operating space; how they were sampled is not known."
-                .to_owned(),
-        );
+        lines.push("Imported rows are treated as a sample of their operating space.".to_owned());
     }
     if !of.restricted.is_empty() {
         lines.push(format!(

@@ -104,7 +104,7 @@ impl Forces {
         self.peak_n = force.map_or(self.peak_n, |force| Some(self.peak_n.unwrap_or(0.0).max(force)));
         let Some(limit_n) = self.limit_n else { return };
         self.grips = sight.command == GripperCommand::Close || self.grips && touching(sight.view);
-        let grip = if self.grips { self.grip_force_n } else { 0.0 };
+        let grip = if self.grips { sight.view.touches.grip(self.grip_force_n) } else { 0.0 };
         let Some(force) = force.filter(|force| *force > limit_n + grip) else { return };
         self.over_limit_s += step;
         if !record.is_over() {

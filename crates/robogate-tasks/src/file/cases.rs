@@ -9,7 +9,6 @@ use super::numbers::{Numbers, Target};
 use super::skills::{self, Skill};
 use super::syntax::{self, Wrong};
 use super::units::Dimension;
-use crate::settings::unit_of;
 
 impl Reading<'_, '_> {
     /// The failures, without their conditions.
@@ -151,9 +150,8 @@ impl Reading<'_, '_> {
             self.problems.of(&table.name, format!("`{name}` has no value. Expected at least one"));
             return;
         };
-        let unit = unit_of(name.as_str());
-        if !unit.is_empty() && unit != dimension.unit() {
-            self.problems.of(&table.name, format!("`{name}` ends with the unit {unit}, but its value is {dimension}"));
+        if let Some(problem) = super::units::other_unit(name.as_str(), dimension) {
+            self.problems.of(&table.name, problem);
         }
         measures.push((name, dimension));
         case.measures.push(of);

@@ -104,7 +104,7 @@ impl Referee {
         let name = &self.model.parts[of].name;
         let in_hand = self.grip.in_hand().filter(|_| touching(sight.view));
         hand.slip_m = in_hand.map(|in_hand| displacement(&in_hand, sight.view));
-        hand.grip_n = if self.grip.is_free() { 0.0 } else { self.grip_force_n };
+        hand.grip_n = if self.grip.is_free() { 0.0 } else { sight.view.touches.grip(self.grip_force_n) };
         match self.grip.observe(sight.command, sight.time, sight.view) {
             Some(GripChange::Closes) => {
                 (self.released_m[of], hand.released) = (None, None);

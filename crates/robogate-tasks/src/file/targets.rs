@@ -9,7 +9,6 @@ use super::model::{ChoiceModel, ParameterModel, Reading, SettingModel};
 use super::names::{Names, RESERVED};
 use super::numbers::{Frame, Numbers, PartTarget, Target, YAW};
 use super::units::{Dimension, quantities};
-use crate::settings::unit_of;
 
 /// The coordinates of a body in paths of parameters.
 const PLACED: [&str; 4] = ["at.x", "at.y", "at.z", "yaw"];
@@ -91,11 +90,8 @@ impl Reading<'_, '_> {
     }
 
     fn check_unit(&mut self, name: &Text, dimension: Dimension) {
-        let unit = unit_of(&name.text);
-        if !unit.is_empty() && unit != dimension.unit() {
-            let is =
-                if dimension == Dimension::NONE { "has no unit".into() } else { format!("is in {}", dimension.unit()) };
-            self.problems.of(name, format!("`{}` ends with the unit {unit}, but its value {is}", name.text));
+        if let Some(problem) = super::units::other_unit(&name.text, dimension) {
+            self.problems.of(name, problem);
         }
     }
 

@@ -2,6 +2,8 @@
 
 use std::fmt;
 
+use crate::settings::unit_of;
+
 /// Exponents of metre, kilogram, second and radian.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Dimension([i8; 4]);
@@ -49,6 +51,21 @@ impl Dimension {
             (false, false) => format!("{above}/{below}"),
         }
     }
+}
+
+/// The unit of the value of a name, if the name ends with another one.
+pub(super) fn other_unit(name: &str, dimension: Dimension) -> Option<String> {
+    let (of_name, unit) = (unit_of(name), dimension.unit());
+    let ending = unit.to_lowercase().replace("n m", "nm").replace('/', "_per_").replace([' ', '^'], "_");
+    if of_name.is_empty() || of_name == unit || name.ends_with(&format!("_{ending}")) {
+        return None;
+    }
+    let is = if unit.is_empty() {
+        "has no unit".to_owned()
+    } else {
+        format!("is in {unit}\nHint: end the name with `_{ending}`")
+    };
+    Some(format!("`{name}` ends with the unit {of_name}, but its value {is}"))
 }
 
 impl fmt::Display for Dimension {
@@ -104,6 +121,9 @@ pub(super) fn unit(text: &str) -> Result<(f64, Dimension), String> {
                 Some((name, power)) => (name, power.parse::<u8>().ok().filter(|power| (1..=3).contains(power))),
                 None => (symbol, Some(1)),
             };
+            if symbol.contains(',') {
+                return Err(format!("`{text}` has several units. Write one after the last number, as in `0.05, 1 kg`"));
+            }
             let known = UNITS.iter().find(|(known, ..)| *known == name);
             let (Some((_, scale, of)), Some(power)) = (known, power) else {
                 let hint = robogate_core::hint(name, UNITS.iter().map(|(known, ..)| *known));

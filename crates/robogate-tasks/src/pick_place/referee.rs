@@ -155,7 +155,7 @@ impl Referee {
 
     /// Observes contact forces and rest.
     fn feel(&mut self, sight: &Sight<'_>) {
-        let grip = if self.grip.is_free() { 0.0 } else { self.grip_force };
+        let grip = if self.grip.is_free() { 0.0 } else { sight.view.touches.grip(self.grip_force) };
         self.press.feel(sight, grip, &mut self.record);
         let idle = match self.released {
             Some(Released { rested, .. }) => rested || sight.view.touches.body_on_object || touching(sight.view),

@@ -36,7 +36,7 @@ fn clear_winner_ends_the_study() {
     assert_eq!(csv.lines().count(), trials + 1);
     assert!(
         csv.starts_with(
-            "success,failure_mode,cycle_time_s,policy,case,operator,day,index,id,stage,peak_force_n,setup\n"
+            "success,failure_mode,cycle_time_s,policy,case,operator,day,index,id,stage,notes,peak_force_n,setup\n"
         ),
         "{csv}"
     );

@@ -132,8 +132,15 @@ impl Demos {
 
     /// Samples points of the space, independently and uniformly.
     fn points(&self, cell: &Cell, seed: Seed) -> Result<Vec<Assignment>, Exit> {
-        let own = || cell.task().demonstration_space(&cell.robot().settings.gripper);
-        let space = named_space(self.space.as_deref().unwrap_or_else(own)).or_usage()?;
+        let gripper = &cell.robot().settings.gripper;
+        let own = cell.task().demonstration_space(gripper);
+        let space = match &self.space {
+            Some(name) => named_space(name),
+            // The space of a task in a file has no name outside of it.
+            None if own == cell.task().space(gripper) => cell.own_space(),
+            None => named_space(own),
+        };
+        let space = space.or_usage()?;
         cell.check_space(&space).or_usage()?;
         let space = Arc::new(space);
         let design = Uniform.design(&space, self.n as usize, seed.stream("demonstrations")).or_usage()?;

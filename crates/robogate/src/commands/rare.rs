@@ -34,7 +34,7 @@ const LISTED: usize = 3;
 /// came to the event, such as the smallest clearance for a collision. Each level keeps the tenth of the episodes that came nearest and varies
 /// them. A probability of 1e-6 needs a few thousand episodes in place of many millions.
 ///
-/// Exit codes: 0 the event was reached, 3 it was not (the answer is then an upper estimate).
+/// Exit codes: 0 the event was reached, 3 it was not (the answer then depends on the margin), or plain episodes contradict the estimate.
 #[derive(Debug, Args)]
 pub(crate) struct RareEvent {
     /// Choose the event: a failure mode of the task, or failure for any
@@ -88,6 +88,8 @@ struct Answer {
     episodes: u64,
     invalid: u64,
     levels: Vec<AnswerLevel>,
+    /// The event among the episodes that no margin chose: those of the first level, and of `--check`.
+    plain: Plain,
     check: Option<Check>,
     examples: Vec<Assignment>,
 }
@@ -97,6 +99,29 @@ struct AnswerLevel {
     /// In the unit of the margin. Absent for the event.
     margin: Option<f64>,
     probability: f64,
+}
+
+/// The event among plain episodes. Their interval does not depend on the margin.
+#[derive(Debug, Serialize)]
+struct Plain {
+    episodes: u64,
+    happened: u64,
+    interval_95: [f64; 2],
+    /// Whether they have the event more often than the estimate allows: no chain found the way to it.
+    contradicts: bool,
+}
+
+impl Plain {
+    fn of(margins: &[f64], most: f64) -> Self {
+        let events = Trials::count(margins.iter().filter(|m| !m.is_nan()).map(|m| *m <= EVENT));
+        let interval = clopper_pearson(events, Confidence::P95);
+        Self {
+            episodes: events.n(),
+            happened: events.successes(),
+            interval_95: [interval.low, interval.high],
+            contradicts: interval.low > most,
+        }
+    }
 }
 
 /// Plain episodes beside the estimate of one level.
@@ -318,17 +343,18 @@ impl RareEvent {
         } else {
             print(&answer);
         }
-        Ok(if answer.reached { DONE } else { INCONCLUSIVE })
+        Ok(if answer.reached && !answer.plain.contradicts { DONE } else { INCONCLUSIVE })
     }
 
     /// `None` if the user stopped it.
     fn answer(&self, subject: &Subject, runner: &mut Runner<'_>, plan: Plan) -> Result<Option<Answer>, Exit> {
-        let mut first = true;
+        let mut plain: Vec<f64> = Vec::new();
         let run = subset(plan, |points| {
             let margins = runner.margins(points)?;
-            if std::mem::take(&mut first) {
+            if plain.is_empty() {
                 runner.check_valid().map_err(Stopped::Failed)?;
                 self.check_grades(runner.question, &margins).map_err(Stopped::Failed)?;
+                plain.clone_from(&margins);
             }
             Ok(margins)
         });
@@ -350,7 +376,10 @@ impl RareEvent {
         let check = match self.check {
             0 => None,
             n => match self.plain(runner, plan, n, &levels, &run) {
-                Ok(check) => Some(check),
+                Ok((check, margins)) => {
+                    plain.extend(margins);
+                    Some(check)
+                }
                 Err(Stopped::Interrupted) => return Ok(None),
                 Err(Stopped::Failed(exit)) => return Err(exit),
             },
@@ -359,6 +388,7 @@ impl RareEvent {
         let interval = deviation.map(|deviation| {
             [-1.0, 1.0].map(|side| (run.probability * (side * Confidence::P95.z() * deviation).exp()).min(1.0))
         });
+        let most = interval.filter(|_| run.reached).map_or(run.probability, |[_, high]| high);
         Ok(Some(Answer {
             format: 1,
             event: self.event.clone(),
@@ -379,6 +409,7 @@ impl RareEvent {
                     probability: *probability,
                 })
                 .collect(),
+            plain: Plain::of(&plain, most),
             check,
             examples: run.events.iter().take(LISTED).map(|point| runner.scenario(point).requested).collect(),
         }))
@@ -411,7 +442,7 @@ impl RareEvent {
         n: u64,
         levels: &[(f64, f64)],
         run: &Rare,
-    ) -> Result<Check, Stopped> {
+    ) -> Result<(Check, Vec<f64>), Stopped> {
         let own = Plan { points: n as usize, budget: 0, seed: plan.seed.wrapping_add(1), ..plan };
         let mut margins = Vec::new();
         // A run without a budget for further levels consists of plain episodes.
@@ -426,7 +457,7 @@ impl RareEvent {
         // The shares of the levels vary independently (Au and Beck 2001).
         let squares: f64 = run.levels.iter().take(shown + 1).map(|level| level.variation.powi(2)).sum();
         let spread = (Confidence::P95.z() * (1.0 + squares).ln().sqrt()).exp();
-        Ok(Check {
+        let check = Check {
             episodes: hits.n(),
             margin: runner.question.shown(margin),
             happened: hits.successes(),
@@ -434,7 +465,8 @@ impl RareEvent {
             estimate,
             estimate_95: [estimate / spread, (estimate * spread).min(1.0)],
             agrees: interval.low <= estimate * spread && estimate / spread <= interval.high,
-        })
+        };
+        Ok((check, margins))
     }
 }
 
@@ -451,12 +483,12 @@ fn print(answer: &Answer) {
             counted(answer.episodes, "episode")
         ));
     } else {
-        line(bold(format_args!(
-            "{} was not reached: its probability is at most about {}",
-            answer.event,
+        line(bold(format_args!("{} was not reached", answer.event)));
+        wrapped(&format!(
+            "If a smaller distance by the margin leads to it, its probability is at most about {}. The episodes ended before the event: raise \
+             --episodes, or lower --target.",
             p(answer.probability)
-        )));
-        wrapped("The episodes ended before the event. Raise --episodes, or lower --target.");
+        ));
     }
     line(bold("Levels"));
     for (at, level) in answer.levels.iter().enumerate() {
@@ -477,6 +509,21 @@ fn print(answer: &Answer) {
             p(check.estimate_95[0]),
             p(check.estimate_95[1]),
             if check.agrees { "they agree" } else { "they DISAGREE" }
+        ));
+    }
+    let Plain { episodes, happened, interval_95: [low, high], contradicts } = &answer.plain;
+    line(bold("Without the margin"));
+    wrapped(&format!(
+        "{} of {} plain episodes had the event: between {} and {} (95 %).",
+        count(*happened),
+        count(*episodes),
+        p(*low),
+        p(*high)
+    ));
+    if *contradicts {
+        warning(format_args!(
+            "the event happens more often than the estimate says: no chain found the way to it, so the estimate is wrong. Hint: choose a \
+             margin that becomes worse towards the event"
         ));
     }
     if let (true, Some(example)) = (answer.reached, answer.examples.first()) {

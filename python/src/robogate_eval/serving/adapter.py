@@ -41,8 +41,15 @@ CARRIED = (
     "episode has an effect. Let the reset of the environment set everything that its criterion uses"
 )
 
+# Starts that are tried until two can be checked: an environment may raise in some.
+STARTS = 12
+
 # First actions that are tried beside those at the ends of their range, where the first action of an episode succeeds.
 OTHER_ACTIONS = 5
+
+
+class Raised(Problem):
+    """The environment raised twice in one start, so that this episode is invalid."""
 
 
 class Adapter:
@@ -131,15 +138,19 @@ class Adapter:
         self._order = {knob.parameter: position for position, knob in enumerate(knobs)}
 
     def _first_reset(self) -> Any:
-        try:
-            return self._env.reset(seed=0)
-        except TypeError as error:
-            if "seed" not in str(error):
-                raise
-            raise DeclarationError(
-                "reset takes no seed. Expected Gymnasium's reset(seed=..., options=...), from which all randomness of an episode follows. "
-                "The package shimmy translates environments of the older gym"
-            ) from None
+        first: Exception | None = None
+        # An environment may raise in some starts.
+        for seed in range(STARTS):
+            try:
+                return self._env.reset(seed=seed)
+            except Exception as error:
+                if isinstance(error, TypeError) and "seed" in str(error):
+                    raise DeclarationError(
+                        "reset takes no seed. Expected Gymnasium's reset(seed=..., options=...), from which all randomness of an "
+                        "episode follows. The package shimmy translates environments of the older gym"
+                    ) from None
+                first = first or error
+        raise first
 
     def hello(self) -> dict:
         environment, model = self._environment, self._model
@@ -180,7 +191,20 @@ class Adapter:
         episodes may have an effect."""
 
         def repeats() -> bool:
-            return all([self._states(index, steps, doing) == self._states(index, steps, doing) for index, steps in ((1, 25), (2, 10))])
+            equal, steps, raised = True, [25, 10], None
+            for index in range(1, STARTS + 1):
+                try:
+                    once = self._states(index, steps[0], doing)
+                except Raised as problem:
+                    raised = raised or problem
+                    continue
+                try:
+                    equal &= once == self._states(index, steps.pop(0), doing)
+                except Raised:
+                    equal = False
+                if not steps:
+                    return equal
+            raise raised
 
         if repeats():
             return True
@@ -291,7 +315,7 @@ class Adapter:
             except Problem:
                 raise
             except Exception as again:
-                raise Problem("setup", f"raised in two tries at this start: {type(again).__name__}: {again}") from again
+                raise Raised("setup", f"raised in two tries at this start: {type(again).__name__}: {again}") from again
             finally:
                 self._repeats = False
             raise

@@ -61,7 +61,7 @@ fn table(zones: &DangerZones) -> Table {
         ("parameter", Text),
         ("bin or level", Short),
         ("success", Number),
-        ("Wilson 95 %", Number),
+        ("95 % interval", Number),
         ("n", Number),
         ("p, below 40 %", Number),
         ("p (Holm)", Number),

@@ -169,7 +169,7 @@ fn cells_table(effect: &MarginalEffect) -> Table {
         ("n", Number),
         ("succeeded", Number),
         ("success", Number),
-        ("Wilson 95 %", Number),
+        ("95 % interval", Number),
         ("exact 95 %", Number),
         ("zone", Zone),
     ];

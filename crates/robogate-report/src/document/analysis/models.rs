@@ -235,7 +235,7 @@ fn reliability_table(figures: &CalibrationFigures) -> Table {
     let rows = figures.bins.iter().map(|bin| {
         vec![count(bin.rows), percent(bin.predicted), percent(bin.observed), percent_range(bin.interval_95)]
     });
-    let columns = [("n", Number), ("predicted", Number), ("observed", Number), ("Wilson 95 %", Number)];
+    let columns = [("n", Number), ("predicted", Number), ("observed", Number), ("95 % interval", Number)];
     Table::new("Predicted and observed failure rates", &columns, rows.collect())
 }
 

@@ -84,7 +84,7 @@ fn stages_table(success: &Success) -> Table {
         ("episodes", Number),
         ("invalid", Number),
         ("success", Number),
-        ("Wilson 95 %", Number),
+        ("95 % interval", Number),
         ("exact 95 %", Number),
         ("weights", Number),
         ("effective n", Number),

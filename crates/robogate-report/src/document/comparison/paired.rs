@@ -98,7 +98,7 @@ fn map_figure(pair: &PairedComparison, map: &DisagreementMap) -> Figure {
         (x.as_str(), Short),
         ("n", Number),
         ("differ", Number),
-        ("Wilson 95 %", Number),
+        ("95 % interval", Number),
         (heads[0].as_str(), Number),
         (heads[1].as_str(), Number),
         ("p (Holm)", Number),

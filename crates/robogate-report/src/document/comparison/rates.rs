@@ -25,7 +25,11 @@ fn table(of: &Comparison) -> Table {
             count(d.success.rate.successes),
             percent_or_dash(d.success.rate.rate),
             percent_range(d.success.rate.wilson_95),
-            percent_range(d.success.rate.clopper_pearson_95),
+            // The interval of dependent rows counts their groups, and has no exact form.
+            match (d.success.rate.wilson_95, d.success.rate.clopper_pearson_95) {
+                (one, other) if one == other => "-".to_owned(),
+                (_, exact) => percent_range(exact),
+            },
             count(d.success.bounds.invalid),
             match &d.excluded_because {
                 Some(because) => format!("not compared: {because}"),
@@ -38,7 +42,7 @@ fn table(of: &Comparison) -> Table {
         ("n", Number),
         ("succeeded", Number),
         ("success", Number),
-        ("Wilson 95 %", Number),
+        ("95 % interval", Number),
         ("exact 95 %", Number),
         ("invalid", Number),
         ("applies to", Text),

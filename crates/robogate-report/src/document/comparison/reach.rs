@@ -59,7 +59,7 @@ fn table(of: &Comparison) -> Table {
         ("workspace at", Number),
         ("ratio", Number),
         ("success", Number),
-        ("Wilson 95 %", Number),
+        ("95 % interval", Number),
         ("source", Short),
     ];
     Table::new("Reach", &columns, rows.collect()).without_empty()

@@ -214,6 +214,7 @@ impl RemoteSight {
                 collision,
                 peak_force: self.peak_force_n,
                 regions: self.region_forces_n,
+                squeeze: None,
             },
             support_n: self.support_n.into(),
             objects: self.objects.iter().map(state).collect::<Result<_, Fault>>()?,

@@ -52,7 +52,7 @@ jobs:
           python-version: \"3.11\"
       - run: pip install \"$ROBOGATE_WHEEL\"PACKAGES
       # Each run has its own seed: a policy that was tuned on fixed scenarios must be judged on new ones.
-      - run: robogate gate --seed ${{ github.run_number }} --out gate
+      - run: robogate gate --seed ${{ github.run_number }}PYTHON --out gate
       - if: always()
         run: if [ -f gate/gate.md ]; then cat gate/gate.md >> \"$GITHUB_STEP_SUMMARY\"; fi
       - if: always()
@@ -138,6 +138,8 @@ impl Drafts {
                         command line comes first.\n"
             .to_owned();
         let path = |path: &Path| path.display().to_string();
+        // The file is shared with other machines.
+        let folder = std::env::current_dir().map(|folder| format!("{}/", folder.display())).unwrap_or_default();
         for (key, value) in [
             ("env", parts.env.clone()),
             ("python", python.filter(|_| parts.env.is_some()).map(path)),
@@ -147,7 +149,11 @@ impl Drafts {
             ("map", policy.map.as_deref().map(path)),
         ] {
             if let Some(value) = value {
-                let _ = writeln!(text, "{key} = {}", Value::String(value));
+                let _ = writeln!(
+                    text,
+                    "{key} = {}",
+                    Value::String(value.strip_prefix(&*folder).unwrap_or(&value).to_owned())
+                );
             }
         }
         let space = if self.has(SPACE) { format!("space = \"{SPACE}\"\n") } else { String::new() };
@@ -157,8 +163,11 @@ impl Drafts {
 
     /// The job of a continuous integration.
     pub(super) fn ci(&mut self, python: bool) {
+        // The file of the project may name a Python of this machine.
+        let own = if python { " --python python3" } else { "" };
         let packages = if python { " gymnasium numpy pyzmq msgpack" } else { "" };
-        let job = JOB.replace("VERSION", env!("CARGO_PKG_VERSION")).replace("PACKAGES", packages);
+        let job =
+            JOB.replace("VERSION", env!("CARGO_PKG_VERSION")).replace("PACKAGES", packages).replace("PYTHON", own);
         self.add(CI, job);
     }
 
