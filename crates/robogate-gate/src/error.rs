@@ -48,7 +48,7 @@ pub enum GateError {
     #[error("no [[requirement]]. Expected at least one\nHint: a gate without requirements would pass every policy")]
     NoRequirements,
     /// A confidence out of range.
-    #[error("`confidence` is {confidence}; expected at least 0.75 and below 1\nHint: write 95 % as 0.95")]
+    #[error("`confidence` is {confidence}; expected at least 0.75 and below 1\nHint: 95 % is 0.95")]
     Confidence {
         /// The given value.
         confidence: f64,

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use robogate_dictionary::{PolicyRecord, Provenance};
+use robogate_dictionary::{Place, PolicyRecord, Provenance, PythonPlace};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -20,6 +20,11 @@ pub enum PolicyBinding {
     /// The server declared the hash of what it runs. RoboGate cannot check that.
     Declared {
         /// SHA-256 (hex).
+        sha256: String,
+    },
+    /// A function in the file of the environment.
+    InEnvironment {
+        /// SHA-256 (hex) of that file.
         sha256: String,
     },
     /// The policy is a part of RoboGate, whose build the rows name.
@@ -45,14 +50,20 @@ impl PolicyBinding {
         match policy.sha256() {
             Some(sha256) if is_file => Self::File { sha256 },
             Some(sha256) => Self::Declared { sha256 },
-            None => Self::Unbound { because: "as declared by the server".to_owned() },
+            None => match (policy, provenance.world.as_ref().map(|world| &world.place)) {
+                (
+                    PolicyRecord::Hosted { from: None, .. },
+                    Some(Place::Python(PythonPlace { sha256: Some(sha256), .. })),
+                ) => Self::InEnvironment { sha256: sha256.clone() },
+                _ => Self::Unbound { because: "as declared by the server".to_owned() },
+            },
         }
     }
 
     /// SHA-256 (hex) of the policy, if it is known.
     pub fn sha256(&self) -> Option<&str> {
         match self {
-            Self::File { sha256 } | Self::Declared { sha256 } => Some(sha256),
+            Self::File { sha256 } | Self::Declared { sha256 } | Self::InEnvironment { sha256 } => Some(sha256),
             Self::BuiltIn | Self::Unbound { .. } => None,
         }
     }
@@ -63,6 +74,7 @@ impl fmt::Display for PolicyBinding {
         match self {
             Self::File { sha256 } => write!(f, "the file with SHA-256 {sha256}"),
             Self::Declared { sha256 } => write!(f, "SHA-256 {sha256}, as declared by its server"),
+            Self::InEnvironment { sha256 } => write!(f, "in the file of the environment, with SHA-256 {sha256}"),
             Self::BuiltIn => f.write_str("built into robogate"),
             Self::Unbound { because } => write!(f, "not bound: {because}"),
         }

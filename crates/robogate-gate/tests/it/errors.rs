@@ -71,7 +71,7 @@ fn typing_errors_are_located() {
             one("point", "metric = \"failure:grip_loss\"\nat_most = 0.1\neach = \"group\"\ngroup = \"g\""),
             "cannot be combined with",
         ),
-        (one("point\"\nconfidence = 95\n#", "metric = \"failure:grip_loss\"\nat_most = 0.1"), "write 95 % as 0.95"),
+        (one("point\"\nconfidence = 95\n#", "metric = \"failure:grip_loss\"\nat_most = 0.1"), "95 % is 0.95"),
         (
             one("point", "metric = \"failure:grip_loss\"\nat_most = 0.1\n[budget]\nrounds = 0"),
             "`budget.rounds` is 0; expected 1 to",

@@ -121,7 +121,7 @@ impl RequirementRow {
         if result.invalid > 0 && result.status != Status::NoEvidence {
             let most = result.figure.most.map_or_else(|| "any".to_owned(), text);
             notes.push(format!(
-                "{} of {} episodes are invalid: the figure could be {} to {most}",
+                "{} of {} episodes are invalid or have no value: the figure could be {} to {most}",
                 count(result.invalid),
                 count(result.valid + result.invalid),
                 result.figure.least.map_or_else(|| "any".to_owned(), text)

@@ -15,7 +15,7 @@ fn policy(judged: &Judged<'_>) -> Claim {
     let fingerprint = paths(judged, &[Role::Fingerprint]);
     let files = paths(judged, &[Role::Dictionary, Role::Policy, Role::Fingerprint]);
     let unknown = match &binding {
-        PolicyBinding::File { .. } | PolicyBinding::BuiltIn => None,
+        PolicyBinding::File { .. } | PolicyBinding::BuiltIn | PolicyBinding::InEnvironment { .. } => None,
         PolicyBinding::Declared { .. } => Some("The server runs another policy than the one whose digest it declares."),
         PolicyBinding::Unbound { .. } => {
             Some("The policy is known by its name or address only: another one may answer there.")

@@ -359,7 +359,7 @@ pub(crate) fn advise(analysis: &Analysis, advice: &Advice) -> String {
         ),
         Advice::Operate { .. } => found.map_or_else(String::new, operate),
         Advice::RunMore { target, episodes } if *episodes > MOST_MORE * analysis.success.rate.n => format!(
-            "No limits on up to three parameters were verified to raise success to {}: the rate within the best ones ({}) is so near \
+            "No limits on up to three parameters were verified to raise success to {}: the rate within the best that were found ({}) is so near \
              to it that {MOST_MORE} times as many episodes would not decide.",
             percent(*target),
             found.map_or_else(String::new, box_in_words)
@@ -376,7 +376,11 @@ pub(crate) fn advise(analysis: &Analysis, advice: &Advice) -> String {
             found.and_then(|found| found.held_out.rate.map(|rate| (found, rate))).map_or_else(
                 String::new,
                 |(found, rate)| {
-                    format!(": the best ones ({}) reach {} in held-out episodes", box_in_words(found), percent(rate))
+                    format!(
+                        ": the best that were found ({}) reach {} in held-out episodes",
+                        box_in_words(found),
+                        percent(rate)
+                    )
                 }
             )
         ),

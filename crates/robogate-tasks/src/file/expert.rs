@@ -22,6 +22,8 @@ use crate::arm::{
 const CAREFUL_M_S2: f64 = 0.8;
 /// Speed of a tool that holds or pushes something, in m/s, if the file states none.
 const CAREFUL_M_S: f64 = 0.1;
+/// Cosine of the angle between tool and slide below which the tips of the gripper press.
+const POINTS: f64 = 0.9;
 /// Distance of the tool from the axis of a hinge that counts as a way, in metres per radian.
 const LEVER_M: f64 = 0.05;
 
@@ -427,6 +429,9 @@ impl<'a> Plan<'a> {
             Motion::Press(of, force) => {
                 let Some(joint) = self.cell.numbers.parts[*of].joint else { return Ok(()) };
                 self.tracked = None;
+                if let Some(before) = self.before_contact(*of, &joint) {
+                    self.cell.joints[*of] = -before;
+                }
                 self.follow(phase, *of, joint.range[1], None)?;
                 // The arm yields under the force, so the command goes on by as much.
                 let along = self.cell.part(*of, 0.0).rotation * joint.motion(1.0).translation.vector;
@@ -526,6 +531,23 @@ impl<'a> Plan<'a> {
         // A wrist that is turned already may not turn on to the most comfortable pose.
         let first = self.to(phase, &poses[chosen], limit);
         poses.iter().fold(first, |done, pose| done.or_else(|_| self.to(phase, pose, limit)))
+    }
+
+    /// The distance from the tips of the gripper to a part at the start of its slide, in metres. `None` if the tool does not point along
+    /// the slide: its side presses then.
+    fn before_contact(&self, of: usize, joint: &robogate_physics::Joint) -> Option<f64> {
+        let (part, tool) = (self.cell.part(of, 0.0), self.tool());
+        let local = joint.motion(1.0).translation.vector;
+        let along = part.rotation * local;
+        let facing = (tool.rotation * Vector3::z()).dot(&along);
+        let tip_m = self.cell.robot.settings.gripper.jaw().map_or(0.0, |jaw| jaw.tip_m);
+        let nearest = |shape: &robogate_physics::Part| {
+            let at = shape.pose.translation.vector.dot(&local);
+            at + shape.primitive.extent(&(shape.pose.rotation.inverse() * local))[0]
+        };
+        let face = self.cell.numbers.parts[of].shapes.iter().map(nearest).fold(f64::INFINITY, f64::min);
+        let tip = tool.translation.vector.dot(&along) + tip_m * facing;
+        (facing > POINTS).then(|| part.translation.vector.dot(&along) + face - tip)
     }
 
     /// Moves with a part along its joint.
