@@ -98,7 +98,7 @@ pub fn check(folder: &Path, robot: &str, physics: bool) -> Result<Checked, Failu
     checked.problems.extend(check_columns(environment.task()).err().map(|error| error.to_string()));
     idle(&mut checked, &mut *environment, physics, task.moves());
     let episodes = if physics { EXPERT_EPISODES } else { 1 };
-    checked.figures.extend(task.mesh_figures().iter().cloned());
+    checked.figures.extend(task.figures().iter().cloned());
     let settings: Vec<String> = task.own_settings().map(|(name, value)| format!("{name}={value}")).collect();
     if !settings.is_empty() {
         checked.figures.push(format!("settings for --set, with their defaults: {}", settings.join(", ")));
