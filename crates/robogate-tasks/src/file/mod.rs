@@ -10,9 +10,10 @@ mod conditions;
 mod document;
 mod expert;
 mod foresight;
+mod import;
 mod lint;
 mod meshes;
-mod mjcf;
+pub(crate) mod mjcf;
 mod model;
 mod moving;
 mod names;
@@ -44,6 +45,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::json;
 
 pub use document::Document;
+pub use import::{Imported, UNFINISHED, Wishes, import};
 pub use meshes::{Files, Find, MOST_FILE_BYTES};
 pub use problem::Problem;
 

@@ -187,6 +187,11 @@ impl Model {
         }
     }
 
+    /// The names of its regions.
+    pub(super) fn region_names(&self) -> impl Iterator<Item = &str> {
+        self.document.region.iter().map(|table| table.name.text.as_str())
+    }
+
     /// Whether the file has an expert.
     pub(super) fn has_expert(&self) -> bool {
         self.cases.iter().any(|case| case.skills.is_some())

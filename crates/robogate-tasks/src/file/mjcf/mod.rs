@@ -210,6 +210,18 @@ fn merge(document: &mut Document, translated: Translated) {
     document.region.extend(translated.regions);
 }
 
+/// The pose of a body at the top of a file.
+pub(crate) fn place_of(root: &Element, body: &Element) -> nalgebra::Isometry3<f64> {
+    let mut problems = Problems::new("");
+    let mut source = Source::new(root, &mut problems);
+    source.pose(body, MAIN)
+}
+
+/// A pose as task.toml writes it: `at` and `rotation`.
+pub(crate) fn pose_texts(pose: &nalgebra::Isometry3<f64>) -> (String, String) {
+    (attributes::position_text(&pose.translation.vector), attributes::rotation_text(&pose.rotation))
+}
+
 /// A name as task.toml writes it: lower-case letters, digits and `_`.
 pub(crate) fn plain(name: &str) -> String {
     let letters = name.chars().map(|c| if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { '_' });

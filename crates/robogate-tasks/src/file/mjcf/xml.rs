@@ -152,12 +152,51 @@ fn parsed(name: &str, content: &[u8]) -> Result<Element, Wrong> {
     };
     let text = std::str::from_utf8(content).map_err(|_| wrong(0, "it is not text in UTF-8".to_owned()))?;
     let text = text.trim_start_matches('\u{feff}');
+    // The library recurses into elements.
+    if let Some(at) = too_deep(text) {
+        let line = 1 + text[..at].bytes().filter(|byte| *byte == b'\n').count();
+        return Err(wrong(line, format!("the elements are nested in more than {DEEPEST} levels")));
+    }
     let options = ParsingOptions { allow_dtd: false, nodes_limit: MOST_NODES };
     let document = guarded(|| Document::parse_with_options(text, options))
         .map_err(|why| wrong(0, why))?
         .map_err(|error| wrong(error.pos().row as usize, error.to_string()))?;
     let lines: Vec<usize> = text.bytes().enumerate().filter(|(_, byte)| *byte == b'\n').map(|(at, _)| at).collect();
     element(document.root_element(), &Rc::from(name), &lines, 0)
+}
+
+/// The first byte at which elements are nested too deeply.
+fn too_deep(text: &str) -> Option<usize> {
+    let bytes = text.as_bytes();
+    let (mut at, mut depth) = (0, 0_usize);
+    while let Some(start) = bytes[at..].iter().position(|byte| *byte == b'<').map(|offset| at + offset) {
+        let skipped = [("<!--", "-->"), ("<![CDATA[", "]]>"), ("<?", "?>")];
+        if let Some((_, end)) = skipped.iter().find(|(open, _)| text[start..].starts_with(open)) {
+            at = start + text[start..].find(end)? + end.len();
+            continue;
+        }
+        // The end of the tag is outside of its quotes.
+        let mut quote = None;
+        let end = bytes[start..].iter().position(|byte| {
+            match quote {
+                Some(open) if open == *byte => quote = None,
+                None if b"\"'".contains(byte) => quote = Some(*byte),
+                _ => {}
+            }
+            quote.is_none() && *byte == b'>'
+        })?;
+        let tag = &bytes[start..=start + end];
+        match (tag.starts_with(b"</"), tag.ends_with(b"/>")) {
+            (true, _) => depth = depth.saturating_sub(1),
+            (false, true) => {}
+            (false, false) => depth += 1,
+        }
+        if depth > DEEPEST + 1 {
+            return Some(start);
+        }
+        at = start + end + 1;
+    }
+    None
 }
 
 fn element(node: Node<'_, '_>, file: &Rc<str>, lines: &[usize], depth: usize) -> Result<Element, Wrong> {
