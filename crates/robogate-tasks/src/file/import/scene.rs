@@ -191,7 +191,6 @@ fn is_visual(geom: &Element) -> bool {
 fn add_meshes(imported: &mut Imported, root: &mut Element, path: &str, find: Find<'_>) -> Result<(), String> {
     let folder = |name: &str| root.all("compiler").filter_map(|of| of.get(name)).last().map(str::to_owned);
     let folder = joined(folder_of(path), &folder("meshdir").or_else(|| folder("assetdir")).unwrap_or_default());
-    let folder = if path.starts_with('/') && !folder.starts_with('/') { format!("/{folder}") } else { folder };
     let mut used = BTreeSet::new();
     root.visit(&mut |element| {
         if element.name == "geom" {

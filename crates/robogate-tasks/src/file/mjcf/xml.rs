@@ -126,17 +126,15 @@ pub(crate) fn folder_of(name: &str) -> &str {
 
 /// A name in a folder, without `.` and with `..` resolved as far as it goes.
 pub(crate) fn joined(folder: &str, name: &str) -> String {
+    let whole = if name.starts_with('/') || folder.is_empty() { name.to_owned() } else { format!("{folder}/{name}") };
     let mut parts: Vec<&str> = Vec::new();
-    let whole = format!("{folder}/{name}");
-    let name = if name.starts_with('/') { name } else { &whole };
-    for part in name.split('/').filter(|part| !part.is_empty() && *part != ".") {
+    for part in whole.split('/').filter(|part| !part.is_empty() && *part != ".") {
         match part {
             ".." if parts.last().is_some_and(|last| *last != "..") => drop(parts.pop()),
             _ => parts.push(part),
         }
     }
-    let path = parts.join("/");
-    if name.starts_with('/') && !folder.starts_with('/') && name != whole { format!("/{path}") } else { path }
+    format!("{}{}", if whole.starts_with('/') { "/" } else { "" }, parts.join("/"))
 }
 
 fn at(file: &str, line: usize) -> Place {
