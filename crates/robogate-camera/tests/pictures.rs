@@ -36,7 +36,14 @@ fn looking(change: impl FnOnce(&mut Visual)) -> Scene {
 
 fn fixture(kind: FixtureKind, primitive: Primitive, [x, y]: [f64; 2]) -> Fixture {
     let pose = Isometry3::translation(x, y, primitive.half_extent()[2]);
-    Fixture { name: format!("{kind:?} at {x}, {y}"), kind, part: Part { primitive, pose }, motion: None, friction: None, color: None }
+    Fixture {
+        name: format!("{kind:?} at {x}, {y}"),
+        kind,
+        part: Part { primitive, pose },
+        motion: None,
+        friction: None,
+        color: None,
+    }
 }
 
 /// A panel between the workspace centre and the front camera.

@@ -32,7 +32,14 @@ fn scene(with_piece: bool) -> Scene {
         gripper: GripperUnit::default(),
         fixtures: vec![
             Fixture::table(),
-            Fixture { name: "wall".to_owned(), kind: FixtureKind::Obstacle, part: wall, motion: Some(motion), friction: None, color: None },
+            Fixture {
+                name: "wall".to_owned(),
+                kind: FixtureKind::Obstacle,
+                part: wall,
+                motion: Some(motion),
+                friction: None,
+                color: None,
+            },
         ]
         .into_iter()
         .chain(with_piece.then(|| Fixture {

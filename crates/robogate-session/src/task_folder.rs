@@ -77,7 +77,9 @@ pub fn import(file: &Path, wishes: &Wishes) -> anyhow::Result<Imported> {
     let mut read = |name: &str| {
         let end = name.rsplit_once('.').map_or("", |(_, end)| end).to_ascii_lowercase();
         if !["xml", "mjcf", "urdf", "bddl", "stl", "obj"].contains(&end.as_str()) {
-            return Err(format!("{name}: a file that ends with `.{end}` is not read. Expected a model, or a mesh (STL, OBJ)"));
+            return Err(format!(
+                "{name}: a file that ends with `.{end}` is not read. Expected a model, or a mesh (STL, OBJ)"
+            ));
         }
         let path = Path::new(name);
         let shown = |error: io::Error| format!("{name}: {error}");

@@ -1,5 +1,5 @@
 //! Tasks with MJCF files: the same physics as bodies that task.toml states itself, and friction and colour of single bodies.
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
+#![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a test fails by panicking, and prints its figures")]
 
 mod common;
 
@@ -139,7 +139,7 @@ fn cabinets_move_as_those_of_task_toml() {
 }
 
 /// Two blocks on a slope: friction of a part, of a fixture, and of the scene, by what slides.
-const SLOPE: &str = r#"format = "robogate-task/1"
+const SLOPE: &str = r##"format = "robogate-task/1"
 name = "slope"
 instruction = "wait"
 time_limit = "3 s"
@@ -174,7 +174,7 @@ sets = "scene.friction"
 range = "0.05, 1"
 [success]
 when = "time() > 10 s"
-"#;
+"##;
 
 /// Keeps the posture for some time.
 fn wait(environment: &mut ArmEnvironment, posture: &[f64]) {
@@ -234,7 +234,11 @@ fn wrong_friction_is_a_problem() {
         ("friction = 0.8\n", "friction = 80\n", "out of range"),
         ("friction = 0.8\n", "", "`rough` has no `friction` of its own"),
         ("#a05030", "brown", "expected #rrggbb"),
-        ("mass = \"0.2 kg\"\nat = \"48, 15", "friction = 0.3\nmass = \"0.2 kg\"\nat = \"48, 15", "`scene.friction` has no effect"),
+        (
+            "mass = \"0.2 kg\"\nat = \"48, 15",
+            "friction = 0.3\nmass = \"0.2 kg\"\nat = \"48, 15",
+            "`scene.friction` has no effect",
+        ),
     ] {
         assert!(SLOPE.contains(from), "{from}");
         let problems = FileTask::read(&SLOPE.replacen(from, to, 1)).unwrap_err();
@@ -262,7 +266,8 @@ fn stated_inertia_acts() {
     let with = |keys: &str| {
         FileTask::read(&SLOPE.replacen("mass = \"0.2 kg\"\nat = \"48, -15", &format!("{keys}\nat = \"48, -15"), 1))
     };
-    let task = with("mass = \"0.2 kg\"\ncentre = \"1, 0, 0 cm\"\ninertia = \"1e-4, 2e-4, 2e-4, 0, 0, 0 kg m^2\"").unwrap();
+    let task =
+        with("mass = \"0.2 kg\"\ncentre = \"1, 0, 0 cm\"\ninertia = \"1e-4, 2e-4, 2e-4, 0, 0, 0 kg m^2\"").unwrap();
     for engine in [EngineKind::Mujoco, EngineKind::Rapier] {
         let mut environment = environment(&task, engine, "franka");
         environment.reset(&scenario(0, &[])).unwrap();

@@ -49,7 +49,8 @@ impl MujocoEngine {
             geom.set_conaffinity(FIXTURE.1);
             // A table with a separate friction coefficient takes precedence over the object. With a coefficient of its own, the
             // larger one of both acts.
-            let table = scene.table_friction.filter(|_| fixture.kind.has_table_friction()).map(|friction| (2, friction));
+            let table =
+                scene.table_friction.filter(|_| fixture.kind.has_table_friction()).map(|friction| (2, friction));
             if let Some((priority, friction)) = table.or(fixture.friction.map(|friction| (1, friction))) {
                 geom.set_priority(priority);
                 let mut parts = scene.free_bodies().flat_map(|(object, _)| &object.parts);

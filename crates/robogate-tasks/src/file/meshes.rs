@@ -77,7 +77,9 @@ impl<'a> Meshes<'a> {
         let [first, second, third] = scale;
         let even = first == second && second == third;
         if !even {
-            read.vertices.iter_mut().for_each(|point| *point = [point.x * first, point.y * second, point.z * third].into());
+            read.vertices
+                .iter_mut()
+                .for_each(|point| *point = [point.x * first, point.y * second, point.z * third].into());
         }
         let unit_m = if even { unit_m * first } else { unit_m };
         let mesh = match Mesh::new(&read, unit_m) {

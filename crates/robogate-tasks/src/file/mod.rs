@@ -38,9 +38,7 @@ use robogate_core::{
     Assignment, Better, CameraSpec, FailureMode, Fault, FaultKind, Foresight, Infeasibility, ParameterSpace, Policy,
     Pose, Scenario, Severity, Stream, TaskInstance, TaskSpec, Word,
 };
-use robogate_physics::{
-    Chain, Color, Fixture, FixtureKind, FreeBody, Gripper, Object, Robot, Scene, Visual, pose,
-};
+use robogate_physics::{Chain, Color, Fixture, FixtureKind, FreeBody, Gripper, Object, Robot, Scene, Visual, pose};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 

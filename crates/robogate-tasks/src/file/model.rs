@@ -176,7 +176,12 @@ impl Model {
                 return Err(problems.found);
             }
         };
-        let reading = Reading { problems: &mut problems, names: Names::default(), meshes: Meshes::new(find), left_out: Vec::new() };
+        let reading = Reading {
+            problems: &mut problems,
+            names: Names::default(),
+            meshes: Meshes::new(find),
+            left_out: Vec::new(),
+        };
         let model = reading.model(document, text);
         match model {
             Some(model) if problems.found.is_empty() => Ok(model),

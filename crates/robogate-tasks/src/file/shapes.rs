@@ -60,10 +60,8 @@ impl Reading<'_, '_> {
             self.problems.of(text, format!("`{}` is out of range. Expected 1 mm to 5 m", text.text));
         }
         let (radius, half_height) = (0.5 * diameter, 0.5 * length);
-        let ball = |z: f64| Part {
-            primitive: Primitive::Sphere { radius },
-            pose: pose * Translation3::new(0.0, 0.0, z),
-        };
+        let ball =
+            |z: f64| Part { primitive: Primitive::Sphere { radius }, pose: pose * Translation3::new(0.0, 0.0, z) };
         let cylinder = Part { primitive: Primitive::Cylinder { radius, half_height }, pose };
         Some(vec![cylinder, ball(half_height), ball(-half_height)])
     }
@@ -95,7 +93,10 @@ impl Reading<'_, '_> {
                 let of: Vec<_> = bodies().map(|(shape, parts)| self.mass_of_shape(shape, parts)).collect();
                 let of = MassProperties::together(&of);
                 if !(KG[0]..=KG[1]).contains(&of.mass_kg) {
-                    let why = format!("the mass of `{}` is {:.2e} kg. Expected {} to {} kg", table.name.text, of.mass_kg, KG[0], KG[1]);
+                    let why = format!(
+                        "the mass of `{}` is {:.2e} kg. Expected {} to {} kg",
+                        table.name.text, of.mass_kg, KG[0], KG[1]
+                    );
                     self.problems.of(&table.name, why);
                     return (1.0, None);
                 }
@@ -149,7 +150,10 @@ impl Reading<'_, '_> {
         let (least, most) = (moments.min(), moments.max());
         // No moment of inertia of a body exceeds the sum of the two others.
         if !(least > 0.0 && 2.0 * most <= moments.sum() * (1.0 + 1e-6)) {
-            let why = format!("no body has the moments of inertia of `{}`: each is above 0 and at most the sum of the others", text.text);
+            let why = format!(
+                "no body has the moments of inertia of `{}`: each is above 0 and at most the sum of the others",
+                text.text
+            );
             self.problems.of(text, why);
             return None;
         }

@@ -201,7 +201,9 @@ impl Names {
             };
             let stated = found.map(|_| (target, Dimension::NONE));
             return stated.ok_or_else(|| {
-                format!("`{owner}` has no `friction` of its own. State its nominal value in the table: `friction = 0.7`")
+                format!(
+                    "`{owner}` has no `friction` of its own. State its nominal value in the table: `friction = 0.7`"
+                )
             });
         }
         match (frame, placed) {

@@ -82,7 +82,11 @@ pub(super) fn parse(text: &str) -> Result<Task, String> {
             ":init" => task.start = rest.iter().map(predicate).collect::<Result<_, _>>()?,
             ":goal" => {
                 let Some(goal) = rest.first() else { return Err("the goal is empty".to_owned()) };
-                let parts = if goal.head().eq_ignore_ascii_case("and") { &goal.items()[1..] } else { std::slice::from_ref(goal) };
+                let parts = if goal.head().eq_ignore_ascii_case("and") {
+                    &goal.items()[1..]
+                } else {
+                    std::slice::from_ref(goal)
+                };
                 task.goal = parts.iter().map(predicate).collect::<Result<_, _>>()?;
             }
             _ => {}
@@ -152,7 +156,9 @@ fn tree(text: &str) -> Result<Expression, String> {
         let code = line.split(';').next().unwrap_or_default().replace('(', " ( ").replace(')', " ) ");
         for word in code.split_whitespace() {
             match (word, stack.len()) {
-                ("(", depth) if depth >= DEEPEST => return Err(format!("its parentheses are nested in more than {DEEPEST} levels")),
+                ("(", depth) if depth >= DEEPEST => {
+                    return Err(format!("its parentheses are nested in more than {DEEPEST} levels"));
+                }
                 ("(", _) => stack.push(Vec::new()),
                 (_, 0) => {
                     let shown: String = word.chars().take(40).collect();

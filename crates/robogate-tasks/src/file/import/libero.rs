@@ -34,8 +34,20 @@ struct Workspace {
 }
 
 const WORKSPACES: [Workspace; 5] = [
-    Workspace { problem: "libero_tabletop_manipulation", name: "main_table", ahead_m: 0.66, fixtures_m: -0.04, regions_m: Some(-0.005) },
-    Workspace { problem: "libero_kitchen_tabletop_manipulation", name: "kitchen_table", ahead_m: 0.66, fixtures_m: -0.04, regions_m: None },
+    Workspace {
+        problem: "libero_tabletop_manipulation",
+        name: "main_table",
+        ahead_m: 0.66,
+        fixtures_m: -0.04,
+        regions_m: Some(-0.005),
+    },
+    Workspace {
+        problem: "libero_kitchen_tabletop_manipulation",
+        name: "kitchen_table",
+        ahead_m: 0.66,
+        fixtures_m: -0.04,
+        regions_m: None,
+    },
     Workspace {
         problem: "libero_living_room_tabletop_manipulation",
         name: "living_room_table",
@@ -43,8 +55,20 @@ const WORKSPACES: [Workspace; 5] = [
         fixtures_m: -0.014,
         regions_m: Some(0.0),
     },
-    Workspace { problem: "libero_study_tabletop_manipulation", name: "study_table", ahead_m: 0.55, fixtures_m: -0.04, regions_m: None },
-    Workspace { problem: "libero_floor_manipulation", name: "floor", ahead_m: 0.6, fixtures_m: -0.025, regions_m: Some(0.02) },
+    Workspace {
+        problem: "libero_study_tabletop_manipulation",
+        name: "study_table",
+        ahead_m: 0.55,
+        fixtures_m: -0.04,
+        regions_m: None,
+    },
+    Workspace {
+        problem: "libero_floor_manipulation",
+        name: "floor",
+        ahead_m: 0.6,
+        fixtures_m: -0.025,
+        regions_m: Some(0.02),
+    },
 ];
 
 /// When a joint counts as open, closed, on and off: above or below a value.
@@ -94,9 +118,14 @@ pub(super) fn import(path: &str, wishes: &Wishes, find: Find<'_>) -> Result<Impo
     let workspace = WORKSPACES.iter().find(|of| of.problem == task.problem.to_lowercase());
     let workspace = workspace.ok_or_else(|| {
         let known = WORKSPACES.iter().map(|of| of.problem);
-        format!("{path}: unknown problem `{}`: {}", task.problem, robogate_core::hint(&task.problem.to_lowercase(), known))
+        format!(
+            "{path}: unknown problem `{}`: {}",
+            task.problem,
+            robogate_core::hint(&task.problem.to_lowercase(), known)
+        )
     })?;
-    let mut cell = Cell { task: &task, workspace, bodies: Vec::new(), notes: BTreeSet::new(), regions: BTreeMap::new() };
+    let mut cell =
+        Cell { task: &task, workspace, bodies: Vec::new(), notes: BTreeSet::new(), regions: BTreeMap::new() };
     cell.read_bodies(path, find)?;
     cell.place_bodies();
     let goal = match cell.goal() {
@@ -125,13 +154,7 @@ pub(super) fn import(path: &str, wishes: &Wishes, find: Find<'_>) -> Result<Impo
     imported.left_out.extend(cell.notes);
     let instruction = wishes.instruction.clone().unwrap_or_else(|| task.instruction.clone());
     let goal = wishes.goal.clone().or(goal);
-    let wishes = Wishes {
-        goal,
-        instruction: Some(instruction),
-        at: None,
-        rotation: None,
-        ..wishes.clone()
-    };
+    let wishes = Wishes { goal, instruction: Some(instruction), at: None, rotation: None, ..wishes.clone() };
     write::task_with(imported, &wishes, &fragments, &tables)
 }
 
@@ -152,9 +175,13 @@ fn orientation(category: &str, folder: &str) -> (UnitQuaternion<f64>, f64) {
         "alphabet_soup" | "tomato_sauce" => {
             (UnitQuaternion::from_quaternion(Quaternion::new(0.0, 0.0, FRAC_1_SQRT_2, FRAC_1_SQRT_2)), 0.0)
         }
-        "ketchup" | "macaroni_and_cheese" | "mayo" | "milk" | "orange_juice" | "salad_dressing" | "new_salad_dressing" => {
-            (UnitQuaternion::from_quaternion(Quaternion::new(0.5, 0.5, 0.5, 0.5)), 0.0)
-        }
+        "ketchup"
+        | "macaroni_and_cheese"
+        | "mayo"
+        | "milk"
+        | "orange_juice"
+        | "salad_dressing"
+        | "new_salad_dressing" => (UnitQuaternion::from_quaternion(Quaternion::new(0.5, 0.5, 0.5, 0.5)), 0.0),
         "butter" | "chocolate_pudding" | "cream_cheese" | "popcorn" | "simple_rack" => (yaw(PI), 0.0),
         "red_coffee_mug" | "porcelain_mug" | "white_yellow_mug" => (yaw(1.5 * PI), 0.0),
         "black_book" | "yellow_book" => (yaw(1.375 * PI), PI / 8.0),
@@ -248,7 +275,8 @@ impl Cell<'_> {
                 self.bodies[index].place = Some(place);
                 if is_fixture {
                     if right - x + top - y > 1e-3 || region.yaw[1] - region.yaw[0] > 1e-3 {
-                        self.notes.insert(format!("the range of the place of fixture `{}`: it is in the middle", start[1]));
+                        self.notes
+                            .insert(format!("the range of the place of fixture `{}`: it is in the middle", start[1]));
                     }
                 } else {
                     let name = plain(&region.name);
@@ -268,7 +296,8 @@ impl Cell<'_> {
                 let shift = self.opened(target, &site, &frame);
                 let z = at.translation.z + edge - bottom;
                 let xy = at.translation.vector + shift;
-                self.bodies[index].place = Some(Isometry3::from_parts(Translation3::new(xy.x, xy.y, z + shift.z), turn));
+                self.bodies[index].place =
+                    Some(Isometry3::from_parts(Translation3::new(xy.x, xy.y, z + shift.z), turn));
                 true
             }
             None => {
@@ -279,7 +308,8 @@ impl Cell<'_> {
                 // It starts where the one below it does.
                 self.bodies[index].place = Some(Isometry3::from_parts(Translation3::new(at.x, at.y, z), turn));
                 if self.bodies[target].start.take().is_some() {
-                    self.notes.insert(format!("the range of the start of `{}`, which carries `{}`", start[2], start[1]));
+                    self.notes
+                        .insert(format!("the range of the start of `{}`, which carries `{}`", start[2], start[1]));
                 }
                 true
             }
@@ -291,7 +321,8 @@ impl Cell<'_> {
         let Some(part) = &site.part else { return Vector3::zeros() };
         let (name, root) = (&self.bodies[target].name, &self.bodies[target].root);
         let value = self.values_at_start().into_iter().find(|(of, _)| *of == format!("{name}_{part}"));
-        let axis = parts_of(root).into_iter().find(|(of, ..)| of == part).and_then(|(_, axis, slides)| slides.then_some(axis));
+        let axis =
+            parts_of(root).into_iter().find(|(of, ..)| of == part).and_then(|(_, axis, slides)| slides.then_some(axis));
         match (value, axis) {
             (Some((_, value)), Some(axis)) => frame.rotation * (axis * value),
             _ => Vector3::zeros(),
@@ -351,18 +382,23 @@ impl Cell<'_> {
         let shown = of.join(" ");
         let unknown = |what: &str| format!("({shown}): {what}");
         match (of[0].as_str(), &of[1..]) {
-            ("on", [object, place]) => self.on(object, place).ok_or_else(|| unknown("the place is unknown, or its box is turned")),
+            ("on", [object, place]) => {
+                self.on(object, place).ok_or_else(|| unknown("the place is unknown, or its box is turned"))
+            }
             ("in", [object, place]) => {
                 let region = self.region(place).cloned().ok_or_else(|| unknown("an unknown region"))?;
-                let target = self.body(&region.target).ok_or_else(|| unknown("a region of the table contains nothing"))?;
+                let target =
+                    self.body(&region.target).ok_or_else(|| unknown("a region of the table contains nothing"))?;
                 let site = self.site(target, &region).ok_or_else(|| unknown("a region without a site in the model"))?;
                 // The box is along the axes of the world, and reaches 1 cm further down.
                 let frame = self.bodies[target].place.unwrap_or_else(Isometry3::identity);
                 let axes = (frame * site.pose).rotation.to_rotation_matrix().into_inner();
                 let half = (axes * site.half).abs();
                 let centre = Vector3::new(0.0, 0.0, -0.005);
-                let name = self.add_region(place, target, &site, &frame, (centre, half + Vector3::new(0.0, 0.0, 0.005)));
-                name.map(|name| format!("inside({}, {name})", plain(object))).ok_or_else(|| unknown("a region that is turned"))
+                let name =
+                    self.add_region(place, target, &site, &frame, (centre, half + Vector3::new(0.0, 0.0, 0.005)));
+                name.map(|name| format!("inside({}, {name})", plain(object)))
+                    .ok_or_else(|| unknown("a region that is turned"))
             }
             ("open" | "close" | "turnon" | "turnoff", [name]) => {
                 let (target, parts) = self.joints(name).ok_or_else(|| unknown("it has no joint"))?;
@@ -373,7 +409,8 @@ impl Cell<'_> {
                 let (side, value) = if any { joints.open } else { joints.close };
                 let unit = |part: &str| {
                     let own = part.strip_prefix(&format!("{}_", self.bodies[target].name)).unwrap_or(part);
-                    let slides = parts_of(&self.bodies[target].root).into_iter().any(|(name, _, slides)| name == own && slides);
+                    let slides =
+                        parts_of(&self.bodies[target].root).into_iter().any(|(name, _, slides)| name == own && slides);
                     if slides { "m" } else { "rad" }
                 };
                 let all: Vec<String> =
@@ -417,7 +454,9 @@ impl Cell<'_> {
         let centre = Vector3::new(0.0, 0.0, site.half.z + 0.0475);
         let back = axes.transpose();
         let name = self.add_region(place, target, &site, &frame, (back * centre, (back * half).abs()))?;
-        let parts = parts_of(&self.bodies[target].root).into_iter().map(|(part, ..)| format!("{}_{part}", self.bodies[target].name));
+        let parts = parts_of(&self.bodies[target].root)
+            .into_iter()
+            .map(|(part, ..)| format!("{}_{part}", self.bodies[target].name));
         let bodies: Vec<String> = std::iter::once(self.bodies[target].name.clone()).chain(parts).collect();
         let touches: Vec<String> = bodies.iter().map(|body| format!("contact({object}, {body})")).collect();
         Some(format!("inside({object}, {name}) and ({})", touches.join(" or ")))
@@ -453,11 +492,17 @@ impl Cell<'_> {
             }
             let list = |of: &Vector3<f64>| of.map(|x| (x * 1e7).round() / 1e7 + 0.0);
             let (at, size) = (list(at), list(size));
-            let _ = writeln!(text, "at = \"{}, {}, {} m\"\nsize = \"{}, {}, {} m\"", at.x, at.y, at.z, size.x, size.y, size.z);
+            let _ = writeln!(
+                text,
+                "at = \"{}, {}, {} m\"\nsize = \"{}, {}, {} m\"",
+                at.x, at.y, at.z, size.x, size.y, size.z
+            );
         }
         for (part, value) in self.values_at_start() {
             let target = self.bodies.iter().find(|body| part.starts_with(&body.name));
-            let unit = target.map_or("m", |body| if matches!(body.category.as_str(), "microwave" | "short_fridge" | "flat_stove") { "rad" } else { "m" });
+            let unit = target.map_or("m", |body| {
+                if matches!(body.category.as_str(), "microwave" | "short_fridge" | "flat_stove") { "rad" } else { "m" }
+            });
             let _ = write!(text, "\n[[set]]\nnumbers = \"{part}.joint.start\"\nto = \"{value} {unit}\"\n");
         }
         text
@@ -482,7 +527,8 @@ fn unwrapped(mut root: Element, path: &str) -> Result<Element, String> {
     // Marks of the size of the object are in the body around it.
     let mut marks = Vec::new();
     world.visit(&mut |element| {
-        if element.name == "site" && element.get("name").is_some_and(|name| ["bottom_site", "top_site"].contains(&name)) {
+        if element.name == "site" && element.get("name").is_some_and(|name| ["bottom_site", "top_site"].contains(&name))
+        {
             marks.push(element.clone());
         }
     });
@@ -507,7 +553,8 @@ fn parts_of(root: &Element) -> Vec<(String, Vector3<f64>, bool)> {
     let mut found = Vec::new();
     root.visit(&mut |element| {
         if let ("body", Some(joint)) = (element.name.as_str(), element.first("joint")) {
-            let axis: Vec<f64> = joint.get("axis").unwrap_or("0 0 1").split_whitespace().filter_map(|x| x.parse().ok()).collect();
+            let axis: Vec<f64> =
+                joint.get("axis").unwrap_or("0 0 1").split_whitespace().filter_map(|x| x.parse().ok()).collect();
             let axis = if axis.len() == 3 { Vector3::from_column_slice(&axis) } else { Vector3::z() };
             found.push((plain(element.get("name").unwrap_or("body")), axis, joint.get("type") == Some("slide")));
         }
@@ -517,10 +564,17 @@ fn parts_of(root: &Element) -> Vec<(String, Vector3<f64>, bool)> {
 
 /// A box site in the frame of the object.
 fn site_of(root: &Element, name: &str) -> Option<Site> {
-    fn search(root: &Element, element: &Element, frame: Isometry3<f64>, part: Option<&str>, name: &str) -> Option<Site> {
+    fn search(
+        root: &Element,
+        element: &Element,
+        frame: Isometry3<f64>,
+        part: Option<&str>,
+        name: &str,
+    ) -> Option<Site> {
         for child in &element.children {
             if child.name == "site" && child.get("name") == Some(name) {
-                let size: Vec<f64> = child.get("size").unwrap_or_default().split_whitespace().filter_map(|x| x.parse().ok()).collect();
+                let size: Vec<f64> =
+                    child.get("size").unwrap_or_default().split_whitespace().filter_map(|x| x.parse().ok()).collect();
                 let half = (size.len() == 3).then(|| Vector3::from_column_slice(&size))?;
                 return Some(Site { pose: frame * place_of(root, child), half, part: part.map(str::to_owned) });
             }

@@ -66,7 +66,11 @@ pub fn import(path: &str, wishes: &Wishes, find: Find<'_>) -> Result<Imported, S
             };
             let mut imported = Imported::default();
             let place = scene::add(&mut imported, root, path, "scene.xml", wishes, find)?;
-            write::task(imported, wishes, &[write::Fragment { file: "scene.xml".to_owned(), place, ..Default::default() }])
+            write::task(
+                imported,
+                wishes,
+                &[write::Fragment { file: "scene.xml".to_owned(), place, ..Default::default() }],
+            )
         }
         _ => Err(format!("{path}: unknown kind of file. Expected .xml or .mjcf (MuJoCo), .urdf, or .bddl (LIBERO)")),
     }

@@ -14,12 +14,26 @@ const JOINTS_OF_A_ROBOT: usize = 4;
 
 /// What refers to bodies, joints or tendons that are gone is removed with them.
 const REFERS: [&str; 12] = [
-    "joint", "joint1", "joint2", "body", "body1", "body2", "site", "site1", "site2", "geom", "tendon", "jointinparent",
+    "joint",
+    "joint1",
+    "joint2",
+    "body",
+    "body1",
+    "body2",
+    "site",
+    "site1",
+    "site2",
+    "geom",
+    "tendon",
+    "jointinparent",
 ];
 
 /// Attributes that a task cannot have, with their value without an effect.
-const REMOVED: [(&str, &str, &str); 3] =
-    [("joint", "armature", "rotor inertia of joints (`armature`)"), ("joint", "springdamper", "springdamper"), ("body", "gravcomp", "gravcomp")];
+const REMOVED: [(&str, &str, &str); 3] = [
+    ("joint", "armature", "rotor inertia of joints (`armature`)"),
+    ("joint", "springdamper", "springdamper"),
+    ("body", "gravcomp", "gravcomp"),
+];
 
 /// Adds the scene to the files of a task under this name. Returns its pose in the frame of the robot that was in it.
 pub(super) fn add(
@@ -78,7 +92,10 @@ fn remove_bodies(root: &mut Element, wishes: &Wishes, notes: &mut BTreeSet<Strin
             let is_robot = depth(body) >= JOINTS_OF_A_ROBOT
                 || joints.len() > 1 && joints.iter().all(|joint| driven.contains(*joint));
             if is_robot {
-                notes.insert(format!("robot: body `{name}` with {} joints. RoboGate's own robot is in its place", joints.len()));
+                notes.insert(format!(
+                    "robot: body `{name}` with {} joints. RoboGate's own robot is in its place",
+                    joints.len()
+                ));
                 robot.get_or_insert_with(|| place_of(&whole, body).inverse());
             }
             !is_robot
@@ -91,7 +108,9 @@ fn remove_bodies(root: &mut Element, wishes: &Wishes, notes: &mut BTreeSet<Strin
 fn drop_named(element: &mut Element, names: &[String], notes: &mut BTreeSet<String>) {
     element.children.retain(|child| {
         let named = matches!(child.name.as_str(), "body" | "geom")
-            && child.get("name").is_some_and(|name| names.iter().any(|dropped| dropped == name || *dropped == plain(name)));
+            && child
+                .get("name")
+                .is_some_and(|name| names.iter().any(|dropped| dropped == name || *dropped == plain(name)));
         if named {
             notes.insert(format!("{} `{}`, as requested", child.name, child.get("name").unwrap_or_default()));
         }
@@ -115,8 +134,13 @@ fn remove_references(root: &mut Element, notes: &mut BTreeSet<String>) {
     for _ in 0..2 {
         for tendons in root.all("tendon") {
             let gone = |tendon: &Element| refers_to_gone(tendon, &names);
-            let kept: Vec<String> =
-                tendons.children.iter().filter(|of| !gone(of)).filter_map(|of| of.get("name")).map(str::to_owned).collect();
+            let kept: Vec<String> = tendons
+                .children
+                .iter()
+                .filter(|of| !gone(of))
+                .filter_map(|of| of.get("name"))
+                .map(str::to_owned)
+                .collect();
             names.extend(kept);
         }
     }
@@ -166,7 +190,11 @@ fn strip(element: &mut Element, colors: &BTreeMap<String, String>, notes: &mut B
             _ => false,
         };
         if picture {
-            let what = if child.name == "geom" { "shapes that nothing touches".to_owned() } else { format!("<{}>", child.name) };
+            let what = if child.name == "geom" {
+                "shapes that nothing touches".to_owned()
+            } else {
+                format!("<{}>", child.name)
+            };
             notes.insert(what);
         }
         !picture
@@ -200,7 +228,8 @@ fn add_meshes(imported: &mut Imported, root: &mut Element, path: &str, find: Fin
     for asset in root.children.iter_mut().filter(|child| child.name == "asset") {
         asset.children.retain(|mesh| {
             let stem = mesh.get("file").and_then(|file| file.rsplit('/').next()).and_then(|file| file.rsplit_once('.'));
-            mesh.name != "mesh" || mesh.get("name").or(stem.map(|(stem, _)| stem)).is_some_and(|name| used.contains(name))
+            mesh.name != "mesh"
+                || mesh.get("name").or(stem.map(|(stem, _)| stem)).is_some_and(|name| used.contains(name))
         });
         for mesh in asset.children.iter_mut().filter(|child| child.name == "mesh") {
             let Some(file) = mesh.get("file").map(str::to_owned) else { continue };
@@ -222,7 +251,8 @@ fn add_meshes(imported: &mut Imported, root: &mut Element, path: &str, find: Fin
     }
     for compiler in root.children.iter_mut().filter(|child| child.name == "compiler") {
         compiler.attributes.retain(|(name, _)| {
-            ["angle", "eulerseq", "autolimits", "inertiafromgeom", "coordinate", "settotalmass"].contains(&name.as_str())
+            ["angle", "eulerseq", "autolimits", "inertiafromgeom", "coordinate", "settotalmass"]
+                .contains(&name.as_str())
         });
     }
     Ok(())

@@ -43,7 +43,10 @@ pub(super) fn to_mjcf(root: &Element, path: &str, find: Find<'_>) -> Result<Elem
             return Err(wrong(joint, "a joint without `parent` and `child`"));
         };
         if !links.links.contains_key(parent) || !links.links.contains_key(child) {
-            return Err(wrong(joint, &format!("a joint names the link `{parent}` or `{child}`, which the file does not have")));
+            return Err(wrong(
+                joint,
+                &format!("a joint names the link `{parent}` or `{child}`, which the file does not have"),
+            ));
         }
         children.push(child);
         links.joints.entry(parent).or_default().push(joint);
@@ -81,7 +84,8 @@ fn wrong(element: &Element, what: &str) -> String {
 /// Numbers of an attribute.
 fn numbers<const N: usize>(element: &Element, name: &str, or: [f64; N]) -> Result<[f64; N], String> {
     let Some(text) = element.get(name) else { return Ok(or) };
-    let found: Vec<f64> = text.split_whitespace().filter_map(|word| word.parse().ok()).filter(|x: &f64| x.is_finite()).collect();
+    let found: Vec<f64> =
+        text.split_whitespace().filter_map(|word| word.parse().ok()).filter(|x: &f64| x.is_finite()).collect();
     found.try_into().map_err(|_| wrong(element, &format!("{name}=\"{text}\" is not {N} numbers")))
 }
 
@@ -108,7 +112,10 @@ impl Links<'_, '_> {
     fn body(&mut self, name: &str, joint: Option<&Element>, depth: usize) -> Result<Element, String> {
         let link = self.links[name];
         if depth > DEEPEST {
-            return Err(wrong(link, &format!("more than {DEEPEST} links are one below another, or joints form a loop")));
+            return Err(wrong(
+                link,
+                &format!("more than {DEEPEST} links are one below another, or joints form a loop"),
+            ));
         }
         let mut body = Element::new("body", &[("name", name)], &link.place);
         if let Some(joint) = joint {
@@ -147,7 +154,12 @@ impl Links<'_, '_> {
             Some("prismatic") => "slide",
             other => {
                 let other = other.unwrap_or("");
-                return Err(wrong(joint, &format!("joints of type `{other}` are not simulated. Expected revolute, continuous, prismatic, fixed or floating")));
+                return Err(wrong(
+                    joint,
+                    &format!(
+                        "joints of type `{other}` are not simulated. Expected revolute, continuous, prismatic, fixed or floating"
+                    ),
+                ));
             }
         };
         if joint.first("mimic").is_some() {
@@ -204,7 +216,8 @@ impl Links<'_, '_> {
             }
         });
         let Some(found) = found else { return Err(wrong(shape, &format!("mesh {file}: {why}"))) };
-        let known = self.meshes.iter().find(|(_, (known, of))| *known == found && of == scale).map(|(name, _)| name.clone());
+        let known =
+            self.meshes.iter().find(|(_, (known, of))| *known == found && of == scale).map(|(name, _)| name.clone());
         Ok(known.unwrap_or_else(|| {
             let name = format!("mesh_{}", self.meshes.len() + 1);
             self.meshes.insert(name.clone(), (found, scale.to_owned()));
@@ -226,8 +239,7 @@ fn inertial_of(inertial: &Element) -> Result<Element, String> {
     let m = turn * own * turn.transpose();
     let full = list(&[m[(0, 0)], m[(1, 1)], m[(2, 2)], m[(0, 1)], m[(0, 2)], m[(1, 2)]]);
     let position: Vector3<f64> = pose.translation.vector;
-    let attributes =
-        [("pos", list(position.as_slice())), ("mass", mass.to_string()), ("fullinertia", full)];
+    let attributes = [("pos", list(position.as_slice())), ("mass", mass.to_string()), ("fullinertia", full)];
     let attributes: Vec<(&str, &str)> = attributes.iter().map(|(name, value)| (*name, value.as_str())).collect();
     Ok(Element::new("inertial", &attributes, &inertial.place))
 }

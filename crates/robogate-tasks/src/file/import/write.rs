@@ -5,8 +5,8 @@ use std::fmt::Write;
 use nalgebra::Isometry3;
 
 use super::{Imported, Wishes};
+use crate::file::mjcf::{plain, pose_texts};
 use crate::file::model::Model;
-use crate::file::mjcf::{pose_texts, plain};
 use crate::file::numbers::PartNumbers;
 use crate::file::units::Dimension;
 
@@ -36,7 +36,8 @@ pub(super) fn task_with(
     let head = head(wishes, fragments, tables);
     let probe = format!("{head}\n[success]\nwhen = \"time() > 1 s\"\n");
     let files = &imported.files;
-    let model = Model::read(&probe, &mut |name| files.get(name).cloned().ok_or_else(|| "there is no such file".to_owned()));
+    let model =
+        Model::read(&probe, &mut |name| files.get(name).cloned().ok_or_else(|| "there is no such file".to_owned()));
     let mut text = head;
     if let Ok(model) = &model {
         imported.bodies = bodies(model);
@@ -105,7 +106,9 @@ fn head(wishes: &Wishes, fragments: &[Fragment], tables: &str) -> String {
     }
     text.push_str(tables);
     for fragment in fragments {
-        let Some(name) = fragment.name.as_ref().filter(|_| fragment.start.is_some() || fragment.spin_rad > 0.0) else { continue };
+        let Some(name) = fragment.name.as_ref().filter(|_| fragment.start.is_some() || fragment.spin_rad > 0.0) else {
+            continue;
+        };
         let _ = write!(text, "\n[[part]]\nname = {}\n", quoted(name));
         if let Some(start) = &fragment.start {
             let _ = writeln!(text, "start = {}", quoted(start));
@@ -163,7 +166,12 @@ fn parameters(model: &Model, fragments: &[Fragment]) -> String {
                 };
                 let high = (2.0 * joint.friction).max(most);
                 let range = format!("0, {high} {}", force.unit());
-                add(format!("{name}_stick_{unit}"), format!("{name}.joint.friction"), range, "Dry friction of the joint.");
+                add(
+                    format!("{name}_stick_{unit}"),
+                    format!("{name}.joint.friction"),
+                    range,
+                    "Dry friction of the joint.",
+                );
             }
         }
     }
@@ -175,7 +183,9 @@ fn success(wishes: &Wishes, bodies: &[String]) -> String {
     for body in bodies {
         let _ = writeln!(text, "#   {body}");
     }
-    let todo = format!("{UNFINISHED}: say when the task is done, such as `joint(drawer) > 15 cm` or `on(cup, shelf) for 0.5 s`");
+    let todo = format!(
+        "{UNFINISHED}: say when the task is done, such as `joint(drawer) > 15 cm` or `on(cup, shelf) for 0.5 s`"
+    );
     let goal = wishes.goal.as_ref().unwrap_or(&todo);
     let _ = write!(text, "[success]\nwhen = {}\n", quoted(goal));
     text

@@ -184,9 +184,9 @@ impl<'a, 'p> Source<'a, 'p> {
         }
         let of_class = WAYS.into_iter().find(|way| self.value(element, class, way).is_some());
         let turned = match stated.first().copied().or(of_class) {
-            Some("quat") => self.numbers::<4>(element, class, "quat").and_then(|[w, x, y, z]| {
-                UnitQuaternion::try_new(nalgebra::Quaternion::new(w, x, y, z), 1e-9)
-            }),
+            Some("quat") => self
+                .numbers::<4>(element, class, "quat")
+                .and_then(|[w, x, y, z]| UnitQuaternion::try_new(nalgebra::Quaternion::new(w, x, y, z), 1e-9)),
             Some("axisangle") => self.numbers::<4>(element, class, "axisangle").and_then(|[x, y, z, angle]| {
                 let axis = nalgebra::Unit::try_new(Vector3::new(x, y, z), 1e-9)?;
                 Some(UnitQuaternion::from_axis_angle(&axis, self.angle(angle)))

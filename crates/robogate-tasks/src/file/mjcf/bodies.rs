@@ -358,7 +358,8 @@ impl<'e, 'a, 'p> Bodies<'e, 'a, 'p> {
         self.check_welded(root);
         let mut found = Translated::default();
         let groups = std::mem::take(&mut self.groups);
-        let shaped: Vec<bool> = groups.iter().map(|group| group.geoms.iter().any(|geom| geom.shape.is_some())).collect();
+        let shaped: Vec<bool> =
+            groups.iter().map(|group| group.geoms.iter().any(|geom| geom.shape.is_some())).collect();
         let places: Vec<(String, Isometry3<f64>)> =
             groups.iter().map(|group| (group.name.clone(), group.frame)).collect();
         for (mut group, has_shapes) in groups.into_iter().zip(&shaped) {
@@ -389,7 +390,8 @@ impl<'e, 'a, 'p> Bodies<'e, 'a, 'p> {
             let color = group.geoms.iter().find_map(|geom| geom.color.clone()).map(|of| self.source.text(element, of));
             if !group.moves {
                 let shapes: Vec<ShapeTable> = group.geoms.into_iter().filter_map(|geom| geom.shape).collect();
-                let shapes = shapes.into_iter().map(|shape| ShapeTable { mass: None, density: None, ..shape }).collect();
+                let shapes =
+                    shapes.into_iter().map(|shape| ShapeTable { mass: None, density: None, ..shape }).collect();
                 if *has_shapes {
                     found.fixtures.push(FixtureTable {
                         name,
@@ -474,7 +476,8 @@ impl<'e, 'a, 'p> Bodies<'e, 'a, 'p> {
     /// Excluded contacts have no effect unless a part is free.
     fn check_excluded(&mut self, root: &Element) {
         for exclude in root.all("contact").flat_map(|contact| contact.all("exclude")) {
-            let names: Vec<String> = ["body1", "body2"].iter().filter_map(|name| exclude.get(name)).map(plain).collect();
+            let names: Vec<String> =
+                ["body1", "body2"].iter().filter_map(|name| exclude.get(name)).map(plain).collect();
             let free = |group: &Group<'_>| {
                 let own = group.element.get("name").map(plain);
                 group.moves && group.joint.is_none() && own.is_some_and(|own| names.contains(&own))
@@ -491,7 +494,11 @@ impl<'e, 'a, 'p> Bodies<'e, 'a, 'p> {
         root.visit(&mut |element| joints.extend(element.get("name").filter(|_| element.name == "joint")));
         for name in self.weld.clone().iter().filter(|name| !joints.contains(&name.as_str())) {
             let hint = robogate_core::hint(name, joints.iter().copied());
-            self.source.wrong(root, format!("`weld` names the joint `{name}`, which the file does not have: {hint}"), "");
+            self.source.wrong(
+                root,
+                format!("`weld` names the joint `{name}`, which the file does not have: {hint}"),
+                "",
+            );
         }
     }
 }

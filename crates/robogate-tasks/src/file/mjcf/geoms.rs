@@ -3,9 +3,9 @@
 use nalgebra::{Isometry3, Matrix3, Translation3, UnitQuaternion, Vector3};
 use robogate_physics::{MassProperties, Part, Primitive};
 
+use super::Assets;
 use super::attributes::{Source, along, position_text, rotation_text};
 use super::xml::{Element, joined};
-use super::Assets;
 use crate::file::document::{ShapeTable, Text};
 
 /// Density of geoms that state none, in kg/m^3.
@@ -60,7 +60,13 @@ impl Source<'_, '_> {
     }
 
     /// A geom. `frame` is that of its own body in the frame of the body that it belongs to.
-    pub(super) fn geom(&mut self, element: &Element, class: &str, frame: &Isometry3<f64>, assets: &Assets) -> Option<Geom> {
+    pub(super) fn geom(
+        &mut self,
+        element: &Element,
+        class: &str,
+        frame: &Isometry3<f64>,
+        assets: &Assets,
+    ) -> Option<Geom> {
         self.check(element, class);
         self.check_class(element, "class");
         let color = self.color(element, class, assets);
@@ -123,7 +129,11 @@ impl Source<'_, '_> {
             }
             "mesh" => return self.mesh_shape(element, mesh.as_deref(), assets).map(|table| (table, None)),
             "plane" => {
-                self.wrong(element, "a plane is not a shape of a body", "the table of the cell is the plane z = 0. Use a box");
+                self.wrong(
+                    element,
+                    "a plane is not a shape of a body",
+                    "the table of the cell is the plane z = 0. Use a box",
+                );
                 return None;
             }
             other => {

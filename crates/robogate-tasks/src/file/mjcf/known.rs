@@ -30,10 +30,29 @@ const KNOWN: &[Known] = &[
     Known {
         element: "geom",
         read: &[
-            "type", "contype", "conaffinity", "size", "fromto", "mass", "density", "friction", "rgba", "material", "mesh",
+            "type",
+            "contype",
+            "conaffinity",
+            "size",
+            "fromto",
+            "mass",
+            "density",
+            "friction",
+            "rgba",
+            "material",
+            "mesh",
         ],
         soft: &[
-            "condim", "priority", "margin", "gap", "solref", "solimp", "solmix", "fluidshape", "fluidcoef", "fitscale",
+            "condim",
+            "priority",
+            "margin",
+            "gap",
+            "solref",
+            "solimp",
+            "solmix",
+            "fluidshape",
+            "fluidcoef",
+            "fitscale",
         ],
         refused: &[
             ("hfield", "", "use a mesh or boxes"),
@@ -44,7 +63,13 @@ const KNOWN: &[Known] = &[
         element: "joint",
         read: &["type", "axis", "range", "limited", "ref", "damping", "stiffness", "springref", "frictionloss"],
         soft: &[
-            "solreflimit", "solimplimit", "solreffriction", "solimpfriction", "margin", "actuatorfrcrange", "actuatorfrclimited",
+            "solreflimit",
+            "solimplimit",
+            "solreffriction",
+            "solimpfriction",
+            "margin",
+            "actuatorfrcrange",
+            "actuatorfrclimited",
             "actuatorgravcomp",
         ],
         refused: &[
@@ -58,7 +83,17 @@ const KNOWN: &[Known] = &[
     Known { element: "frame", read: &["childclass"], soft: &[], refused: &[] },
     Known {
         element: "mesh",
-        read: &["file", "scale", "content_type", "inertia", "maxhullvert", "smoothnormal", "texcoord", "normal", "texdir"],
+        read: &[
+            "file",
+            "scale",
+            "content_type",
+            "inertia",
+            "maxhullvert",
+            "smoothnormal",
+            "texcoord",
+            "normal",
+            "texdir",
+        ],
         soft: &[],
         refused: &[
             ("vertex", "", "write the mesh to a file, STL or OBJ"),
@@ -70,9 +105,26 @@ const KNOWN: &[Known] = &[
     Known {
         element: "compiler",
         read: &[
-            "angle", "eulerseq", "meshdir", "assetdir", "autolimits", "inertiafromgeom", "texturedir", "strippath", "discardvisual",
-            "fusestatic", "balanceinertia", "usethread", "convexhull", "exactmeshinertia", "inertiagrouprange", "alignfree",
-            "saveinertial", "boundmass", "boundinertia", "fitaabb",
+            "angle",
+            "eulerseq",
+            "meshdir",
+            "assetdir",
+            "autolimits",
+            "inertiafromgeom",
+            "texturedir",
+            "strippath",
+            "discardvisual",
+            "fusestatic",
+            "balanceinertia",
+            "usethread",
+            "convexhull",
+            "exactmeshinertia",
+            "inertiagrouprange",
+            "alignfree",
+            "saveinertial",
+            "boundmass",
+            "boundinertia",
+            "fitaabb",
         ],
         soft: &[],
         refused: &[
@@ -97,7 +149,10 @@ pub(super) const ASIDE: [(&str, &str); 7] = [
 pub(super) const REFUSED: [(&str, &str); 12] = [
     ("tendon", "a joint cannot be coupled: remove the tendon, or name joints that it holds in `weld`"),
     ("equality", "bodies cannot be coupled: put bodies that are welded into one body"),
-    ("actuator", "nothing in a cell has a motor but the robot: remove the actuator, or let a fixture of task.toml `shuttle` or `turn`"),
+    (
+        "actuator",
+        "nothing in a cell has a motor but the robot: remove the actuator, or let a fixture of task.toml `shuttle` or `turn`",
+    ),
     ("deformable", "bodies are rigid: use a mesh"),
     ("extension", "plug-ins are code: remove them"),
     ("plugin", "plug-ins are code: remove them"),
@@ -113,7 +168,8 @@ impl Source<'_, '_> {
     /// Checks the attributes of an element, its own ones and those of its default class.
     pub(super) fn check(&mut self, element: &Element, class: &str) {
         let Some(known) = KNOWN.iter().find(|known| known.element == element.name) else { return };
-        let names = || POSE.iter().chain(known.read).chain(known.soft).copied().chain(known.refused.iter().map(|of| of.0));
+        let names =
+            || POSE.iter().chain(known.read).chain(known.soft).copied().chain(known.refused.iter().map(|of| of.0));
         for (name, _) in &element.attributes {
             if !names().any(|known| known == name) {
                 let hint = robogate_core::hint(name, names());

@@ -40,7 +40,8 @@ impl Reading<'_, '_> {
     pub(super) fn fragments(&mut self, document: &mut Document) {
         let fragments = std::mem::take(&mut document.mjcf);
         if fragments.len() > MOST_FRAGMENTS {
-            let what = format!("the file has {} entries of `mjcf`. At most {MOST_FRAGMENTS} are accepted", fragments.len());
+            let what =
+                format!("the file has {} entries of `mjcf`. At most {MOST_FRAGMENTS} are accepted", fragments.len());
             self.problems.at(0, what, "");
             return;
         }
@@ -122,7 +123,11 @@ fn check_sections(source: &mut Source<'_, '_>, root: &Element) {
         }
     }
     for pair in root.all("contact").flat_map(|contact| contact.all("pair")) {
-        source.wrong(pair, "<pair> of <contact> is not simulated", "every part touches the robot, free parts and fixtures");
+        source.wrong(
+            pair,
+            "<pair> of <contact> is not simulated",
+            "every part touches the robot, free parts and fixtures",
+        );
     }
 }
 

@@ -112,7 +112,8 @@ fn numbers_are_those_of_mujoco() {
         let pose = layout.parts[part] * joint.map_or_else(nalgebra::Isometry3::identity, |of| of.motion(of.start));
         let mass = part_of.mass();
         let rotation = pose.rotation.to_rotation_matrix().into_inner();
-        let (centre, inertia) = (pose * nalgebra::Point3::from(mass.centre), rotation * mass.inertia * rotation.transpose());
+        let (centre, inertia) =
+            (pose * nalgebra::Point3::from(mass.centre), rotation * mass.inertia * rotation.transpose());
         let single: Vec<_> = bodies
             .iter()
             .map(|body| {
@@ -129,7 +130,11 @@ fn numbers_are_those_of_mujoco() {
         let name = names[part];
         assert!((mass.mass_kg - expected.mass_kg).abs() < 1e-9, "{name}: {} {}", mass.mass_kg, expected.mass_kg);
         assert!((centre.coords - expected.centre).norm() < 1e-7, "{name}: {centre} {}", expected.centre);
-        assert!((inertia - expected.inertia).norm() < 1e-7 * inertia.norm().max(1.0), "{name}: {inertia} {}", expected.inertia);
+        assert!(
+            (inertia - expected.inertia).norm() < 1e-7 * inertia.norm().max(1.0),
+            "{name}: {inertia} {}",
+            expected.inertia
+        );
     }
     // The first shape of each fixture and of parts without meshes.
     let near = |pose: nalgebra::Isometry3<f64>, geom: usize| {
@@ -181,7 +186,8 @@ fn numbers_are_those_of_mujoco() {
 
 #[test]
 fn rotations_survive_texts() {
-    for angles in [[0.1, 0.2, 0.3], [0.3, std::f64::consts::FRAC_PI_2, -1.0], [2.0, -std::f64::consts::FRAC_PI_2, 0.4]] {
+    for angles in [[0.1, 0.2, 0.3], [0.3, std::f64::consts::FRAC_PI_2, -1.0], [2.0, -std::f64::consts::FRAC_PI_2, 0.4]]
+    {
         let wanted = UnitQuaternion::from_euler_angles(angles[0], angles[1], angles[2]);
         let text = super::attributes::rotation_text(&wanted);
         let [roll, pitch, yaw] =
@@ -232,11 +238,18 @@ fn tables_add_keys_to_bodies() {
 
 #[test]
 fn broken_fragments_are_problems_with_lines() {
-    let body = |inner: &str| format!("<mujoco>\n<worldbody>\n<body name='a'>\n<freejoint/>\n{inner}\n</body>\n</worldbody>\n</mujoco>");
+    let body = |inner: &str| {
+        format!("<mujoco>\n<worldbody>\n<body name='a'>\n<freejoint/>\n{inner}\n</body>\n</worldbody>\n</mujoco>")
+    };
     let top = |inner: &str| format!("<mujoco>\n{inner}\n<worldbody>\n</worldbody>\n</mujoco>");
     let cube = "<geom type='box' size='.1 .1 .1'/>";
     let joint = |inner: &str| body("").replace("<freejoint/>", inner).replace("\n\n", &format!("\n{cube}\n"));
-    let mesh = |inner: &str| format!("<mujoco><asset>\n{inner}</asset>\n{}", body("<geom type='mesh' mesh='m'/>").split_once('\n').unwrap().1);
+    let mesh = |inner: &str| {
+        format!(
+            "<mujoco><asset>\n{inner}</asset>\n{}",
+            body("<geom type='mesh' mesh='m'/>").split_once('\n').unwrap().1
+        )
+    };
     for (xml, line, what, hint) in [
         (body("<geom type='box' size='.1 .1 .1'>"), 6, "expected 'geom' tag, not 'body'", "XML in UTF-8"),
         ("<!DOCTYPE m [<!ENTITY a 'b'>]><mujoco/>".to_owned(), 1, "DTD", "without a DTD"),

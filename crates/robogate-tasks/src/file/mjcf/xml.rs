@@ -222,7 +222,8 @@ struct Includes<'a, 'b> {
 impl Includes<'_, '_> {
     /// An element with the elements of included files in place of the includes.
     fn replaced(&mut self, mut of: Element, depth: usize) -> Result<Element, Wrong> {
-        let wrong = |place: &Place, what: String, hint: &str| Wrong { place: place.clone(), what, hint: hint.to_owned() };
+        let wrong =
+            |place: &Place, what: String, hint: &str| Wrong { place: place.clone(), what, hint: hint.to_owned() };
         if depth > DEEPEST {
             return Err(wrong(&of.place, format!("includes and elements have more than {DEEPEST} levels"), ""));
         }
