@@ -138,7 +138,9 @@ impl Stage {
                     let own = obstacles.next().copied().unwrap_or_default();
                     (With::Fixture(i), Finish::new(own, 0.3).with(Pattern::Grain))
                 }
-                FixtureKind::Receptacle => (With::Fixture(i), Finish::new([120, 126, 134], 0.5)),
+                FixtureKind::Receptacle => {
+                    (With::Fixture(i), Finish::new(fixture.color.map_or([120, 126, 134], |color| color.0), 0.5))
+                }
                 FixtureKind::Occluder => (With::Fixture(i), Finish::new([122, 134, 140], 0.4)),
                 FixtureKind::Disturbance => (With::Fixture(i), Finish::new([236, 184, 22], 0.3).with(Pattern::Hazard)),
             };

@@ -13,7 +13,7 @@ use robogate_physics::{
 fn cube_at([x, y]: [f64; 2]) -> Scene {
     let parts = vec![Part { primitive: Primitive::Box { half: [0.025; 3] }, pose: Isometry3::identity() }];
     Scene {
-        object: Object { mass: MassProperties::homogeneous(&parts, 0.3), parts, joint: None },
+        object: Object { mass: MassProperties::homogeneous(&parts, 0.3), parts, joint: None, friction: None },
         object_pose: Isometry3::translation(x, y, 0.025),
         others: Vec::new(),
         friction: 0.8,
@@ -36,7 +36,14 @@ fn looking(change: impl FnOnce(&mut Visual)) -> Scene {
 
 fn fixture(kind: FixtureKind, primitive: Primitive, [x, y]: [f64; 2]) -> Fixture {
     let pose = Isometry3::translation(x, y, primitive.half_extent()[2]);
-    Fixture { name: format!("{kind:?} at {x}, {y}"), kind, part: Part { primitive, pose }, motion: None }
+    Fixture {
+        name: format!("{kind:?} at {x}, {y}"),
+        kind,
+        part: Part { primitive, pose },
+        motion: None,
+        friction: None,
+        color: None,
+    }
 }
 
 /// A panel between the workspace centre and the front camera.

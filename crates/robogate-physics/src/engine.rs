@@ -313,6 +313,9 @@ pub struct Readback {
     pub table_friction: f64,
     /// Friction coefficient that acts between the object and the pads; `None` without pads.
     pub pad_friction: Option<f64>,
+    /// Friction coefficients of the bodies that have their own, by the body's index. The ones above are those of the others, and
+    /// not a number if there are none.
+    pub own_friction: Vec<(usize, f64)>,
     /// Gravity, in m/s^2, downwards.
     pub gravity: f64,
     /// Stiffness of the arm's servos as a multiple of the robot's setting; `None` if the engine does not report it.
@@ -360,6 +363,9 @@ pub struct FixtureRead {
     pub pose: Isometry3<f64>,
     /// The motion, if it moves.
     pub motion: Option<Motion>,
+    /// Its friction coefficient, if it has its own.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub friction: Option<f64>,
 }
 
 /// Contacts of one time step. Forces are normal forces in newtons.

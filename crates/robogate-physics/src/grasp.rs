@@ -235,9 +235,11 @@ fn scene(tcp: &Isometry3<f64>, gripper: &Gripper, part_m: f64, mass_kg: f64) -> 
             pose: Isometry3::from_parts(Translation3::new(0.0, 0.0, -half - 0.01) * place, yaw),
         },
         motion: None,
+        friction: None,
+        color: None,
     };
     Scene {
-        object: Object { mass: MassProperties::homogeneous(&parts, mass_kg), parts, joint: None },
+        object: Object { mass: MassProperties::homogeneous(&parts, mass_kg), parts, joint: None, friction: None },
         object_pose: Isometry3::from_parts(place, yaw),
         others: Vec::new(),
         friction: FRICTION,

@@ -14,7 +14,7 @@ use robogate_core::guard::guarded;
 use self::divide::{contains, divide};
 use self::shell::{Shell, signed_volume};
 use crate::mesh::bounds;
-use crate::{Mesh, Part, Primitive};
+use crate::{Mesh, Part, Primitive, Triangles};
 
 /// The largest number of pieces of a mesh.
 pub const MOST_PIECES: usize = 64;
@@ -126,6 +126,16 @@ impl Pieces {
             parts.push(Part { primitive: Primitive::Hull(Arc::new(hull)), pose });
         }
         (!parts.is_empty()).then_some(Self { parts, volume, distance_m })
+    }
+}
+
+impl Triangles {
+    /// The convex hull. `None` if the vertices have no volume.
+    pub fn hull(&self) -> Option<Self> {
+        let points: Vec<Vector> = self.vertices.iter().map(vector).collect();
+        let shell = guarded(|| Shell::of(&points)).ok().flatten()?;
+        let flat = shell.faces.iter().map(|face| face.corners).collect();
+        Some(Self { vertices: shell.points.iter().map(|p| Point3::new(p.x, p.y, p.z)).collect(), faces: flat })
     }
 }
 

@@ -236,7 +236,7 @@ pub(crate) fn trial_scene() -> Scene {
     let [x, y] = WORKSPACE_CENTRE;
     let parts = vec![Part { primitive: Primitive::Box { half: [0.025; 3] }, pose: Isometry3::identity() }];
     Scene {
-        object: Object { mass: MassProperties::homogeneous(&parts, 0.3), parts, joint: None },
+        object: Object { mass: MassProperties::homogeneous(&parts, 0.3), parts, joint: None, friction: None },
         object_pose: Isometry3::translation(x, y, 0.025),
         others: Vec::new(),
         friction: 0.8,

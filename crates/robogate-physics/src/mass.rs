@@ -1,6 +1,6 @@
 //! Mass properties of bodies made of primitives.
 
-use nalgebra::{Matrix3, Point3, Vector3};
+use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
 use crate::{Part, plain};
@@ -50,5 +50,35 @@ impl MassProperties {
             })
             .sum();
         Self { mass_kg, centre, inertia }
+    }
+
+    /// Mass properties of several bodies together that are fixed to each other, in their common frame (parallel axes).
+    pub fn together(bodies: &[Self]) -> Self {
+        let mass_kg = bodies.iter().map(|body| body.mass_kg).sum::<f64>();
+        let centre = bodies.iter().map(|body| body.centre * body.mass_kg).sum::<Vector3<f64>>() / mass_kg;
+        let inertia = bodies.iter().map(|body| {
+            let arm = body.centre - centre;
+            body.inertia + (Matrix3::identity() * arm.norm_squared() - arm * arm.transpose()) * body.mass_kg
+        });
+        Self { mass_kg, centre, inertia: inertia.sum() }
+    }
+
+    /// The same body of another density, with this mass.
+    #[must_use]
+    pub fn with_mass(self, mass_kg: f64) -> Self {
+        Self { mass_kg, inertia: self.inertia * (mass_kg / self.mass_kg), ..self }
+    }
+
+    /// A homogeneous capsule along the z axis of a pose: a cylinder between two half balls of this radius (m).
+    pub fn capsule(pose: &Isometry3<f64>, radius: f64, half_length: f64, mass_kg: f64) -> Self {
+        let (r, h) = (radius, half_length);
+        // Volumes as multiples of pi r^2.
+        let (cylinder, ball) = (2.0 * h, 4.0 / 3.0 * r);
+        let [cylinder, ball] = [cylinder, ball].map(|part| mass_kg * part / (cylinder + ball));
+        let across = cylinder * (r * r / 4.0 + h * h / 3.0) + ball * (0.4 * r * r + h * h + 0.75 * h * r);
+        let along = cylinder * r * r / 2.0 + ball * 0.4 * r * r;
+        let rotation = pose.rotation.to_rotation_matrix().into_inner();
+        let inertia = rotation * Matrix3::from_diagonal(&Vector3::new(across, across, along)) * rotation.transpose();
+        Self { mass_kg, centre: pose.translation.vector, inertia }
     }
 }

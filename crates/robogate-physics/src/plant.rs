@@ -67,6 +67,8 @@ struct Drives {
     suction: Option<Suction>,
     /// Parts of each free body, for the distance measurement of the cup.
     parts: Vec<Vec<Part>>,
+    /// Friction coefficient of each free body.
+    frictions: Vec<f64>,
     /// The free body that the gripper acts on.
     selected: usize,
     /// Grip force of this scene's unit, in newtons.
@@ -150,7 +152,7 @@ impl<E: Engine> Plant<E> {
         let force_scale = scene.gripper.force_scale;
         let suction = gripper.cup().map(|cup| {
             let cup = SuctionCup { vacuum_pa: cup.vacuum_pa * force_scale, ..cup.clone() };
-            Suction::new(self.suction_law, cup, grip_threshold_m, scene.friction, step)
+            Suction::new(self.suction_law, cup, grip_threshold_m, scene.friction_of(&scene.object), step)
         });
         let grip_force_n = unit_grip_force(gripper, self.grip_force_n, force_scale)?;
         self.engine.load(scene, &home)?;
@@ -163,6 +165,7 @@ impl<E: Engine> Plant<E> {
                 .free_bodies()
                 .map(|(object, _)| if object.joint.is_some() { Vec::new() } else { object.parts.clone() })
                 .collect(),
+            frictions: scene.free_bodies().map(|(object, _)| scene.friction_of(object)).collect(),
             selected: 0,
             grip_force_n,
             unrest: Unrest::default(),
@@ -177,6 +180,9 @@ impl<E: Engine> Plant<E> {
             && !drives.suction.as_ref().is_some_and(Suction::holding)
         {
             drives.selected = body;
+            if let Some(suction) = &mut drives.suction {
+                suction.set_friction(drives.frictions[body]);
+            }
             self.engine.select(body);
         }
     }

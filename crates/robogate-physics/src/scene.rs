@@ -2,6 +2,8 @@
 
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use robogate_core::Pose;
+#[cfg(any(feature = "mujoco", feature = "rapier"))]
+use robogate_core::{Fault, FaultKind};
 use serde::{Deserialize, Serialize};
 
 #[cfg(any(feature = "mujoco", feature = "rapier"))]
@@ -27,9 +29,9 @@ pub struct Scene {
     pub object: Object,
     /// Pose of the object at the start.
     pub object_pose: Isometry3<f64>,
-    /// Further bodies that move freely. They have the object's friction coefficient.
+    /// Further bodies that move freely.
     pub others: Vec<FreeBody>,
-    /// Coulomb friction coefficient of the object against everything.
+    /// Coulomb friction coefficient of the bodies that state none, against everything.
     pub friction: f64,
     /// Coulomb friction coefficient of the object against the table and receptacles, if different.
     pub table_friction: Option<f64>,
@@ -52,6 +54,25 @@ impl Scene {
     pub fn free_bodies(&self) -> impl Iterator<Item = (&Object, &Isometry3<f64>)> {
         std::iter::once((&self.object, &self.object_pose))
             .chain(self.others.iter().map(|body| (&body.object, &body.pose)))
+    }
+
+    /// The friction coefficient of a free body.
+    pub fn friction_of(&self, object: &Object) -> f64 {
+        object.friction.unwrap_or(self.friction)
+    }
+
+    /// The friction coefficient of the pads, if it is not that of the bodies.
+    ///
+    /// # Errors
+    /// If bodies have different coefficients, because a pad has one.
+    #[cfg(any(feature = "mujoco", feature = "rapier"))]
+    pub(crate) fn pad_friction(&self) -> Result<Option<f64>, Fault> {
+        let pads = self.gripper.pad_friction(self.friction);
+        if pads.is_some() && self.free_bodies().any(|(object, _)| object.friction.is_some()) {
+            let why = "pad_friction_scale needs parts with one friction coefficient. Leave out `friction` of the parts";
+            return Err(Fault::new(FaultKind::Setup, why));
+        }
+        Ok(pads)
     }
 
     /// A free body: 0 is the object, then come the others.
@@ -110,6 +131,9 @@ pub struct Object {
     /// moves freely.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub joint: Option<Joint>,
+    /// Its Coulomb friction coefficient, if it is not that of the scene. A contact has the larger one of its two sides.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub friction: Option<f64>,
 }
 
 /// A body that stands still or follows a prescribed motion. Contact of the robot with it is a collision.
@@ -124,6 +148,12 @@ pub struct Fixture {
     pub part: Part,
     /// The motion, if it moves. An engine drives it, and it pushes the object.
     pub motion: Option<Motion>,
+    /// Its Coulomb friction coefficient. Without one, a contact has that of the other body.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub friction: Option<f64>,
+    /// The colour in camera images, if it is not that of its kind.
+    #[serde(skip)]
+    pub color: Option<Color>,
 }
 
 /// The role of a fixture.
@@ -161,7 +191,7 @@ impl Fixture {
         let primitive = Primitive::Box { half: [TABLE_HALF[0], TABLE_HALF[1], 0.02] };
         let pose = Isometry3::translation(TABLE_CENTRE[0], TABLE_CENTRE[1], -0.02);
         let part = Part { primitive, pose };
-        Self { name: "table".to_owned(), kind: FixtureKind::Table, part, motion: None }
+        Self { name: "table".to_owned(), kind: FixtureKind::Table, part, motion: None, friction: None, color: None }
     }
 
     /// A lower bound of the distance from a ball (centre and radius in metres) to the fixture at `pose`, in metres.

@@ -224,6 +224,11 @@ impl Suction {
         Self { law, cup, threshold, friction, time_step, state: State::Idle }
     }
 
+    /// Another object has this friction coefficient.
+    pub(crate) fn set_friction(&mut self, friction: f64) {
+        self.friction = friction;
+    }
+
     /// Largest tension along the cup's axis on a plane, in newtons.
     pub(crate) fn force_n(&self) -> f64 {
         self.cup.force_n()

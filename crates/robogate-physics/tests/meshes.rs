@@ -166,10 +166,16 @@ fn shapes_that_are_no_solids_are_refused() {
 
 /// A scene with an object far from the robot's posture.
 fn scene(parts: Vec<Part>, pose: Isometry3<f64>, fixtures: Vec<Part>) -> Scene {
-    let fixture =
-        |(index, part)| Fixture { name: format!("fixture{index}"), kind: FixtureKind::Receptacle, part, motion: None };
+    let fixture = |(index, part)| Fixture {
+        name: format!("fixture{index}"),
+        kind: FixtureKind::Receptacle,
+        part,
+        motion: None,
+        friction: None,
+        color: None,
+    };
     Scene {
-        object: Object { mass: MassProperties::homogeneous(&parts, 0.3), parts, joint: None },
+        object: Object { mass: MassProperties::homogeneous(&parts, 0.3), parts, joint: None, friction: None },
         object_pose: pose,
         others: Vec::new(),
         friction: 0.6,

@@ -23,7 +23,7 @@ fn scene(with_piece: bool) -> Scene {
     piece.pose.translation.vector += Vector3::new(0.45, -0.02, 0.0);
     let motion = Motion::Straight { velocity: Vector3::new(0.0, 0.2, 0.0), starts_s: 0.01, ends_s: 0.5 };
     Scene {
-        object: Object { mass: MassProperties::homogeneous(&parts, 0.3), parts, joint: None },
+        object: Object { mass: MassProperties::homogeneous(&parts, 0.3), parts, joint: None, friction: None },
         object_pose: Isometry3::translation(0.5, 0.0, 0.1),
         others: Vec::new(),
         friction: 0.8,
@@ -32,7 +32,14 @@ fn scene(with_piece: bool) -> Scene {
         gripper: GripperUnit::default(),
         fixtures: vec![
             Fixture::table(),
-            Fixture { name: "wall".to_owned(), kind: FixtureKind::Obstacle, part: wall, motion: Some(motion) },
+            Fixture {
+                name: "wall".to_owned(),
+                kind: FixtureKind::Obstacle,
+                part: wall,
+                motion: Some(motion),
+                friction: None,
+                color: None,
+            },
         ]
         .into_iter()
         .chain(with_piece.then(|| Fixture {
@@ -40,6 +47,8 @@ fn scene(with_piece: bool) -> Scene {
             kind: FixtureKind::Receptacle,
             part: piece,
             motion: None,
+            friction: None,
+            color: None,
         }))
         .collect(),
         gravity: GRAVITY,

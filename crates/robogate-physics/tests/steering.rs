@@ -20,7 +20,7 @@ impl World {
         let mut plant = Plant::new(engine, 0.05, None).unwrap();
         let parts = vec![Part { primitive: Primitive::Box { half: [0.025; 3] }, pose: Isometry3::identity() }];
         let scene = Scene {
-            object: Object { mass: MassProperties::homogeneous(&parts, 0.3), parts, joint: None },
+            object: Object { mass: MassProperties::homogeneous(&parts, 0.3), parts, joint: None, friction: None },
             object_pose: Isometry3::translation(0.5, 0.3, 0.025),
             others: Vec::new(),
             friction: 0.8,

@@ -9,7 +9,7 @@ use robogate_core::{
     Value, check_applied, rollout,
 };
 use robogate_dictionary::check_columns;
-use robogate_tasks::file::{FILE, FileTask, MOST_FILE_BYTES};
+use robogate_tasks::file::{FILE, FileTask, Imported, MOST_FILE_BYTES, Wishes};
 
 use crate::cell::{Cell, default_place, listed, nominal};
 use crate::failure::{Failure, OrFailure};
@@ -65,6 +65,34 @@ fn beside(folder: &Path, name: &str) -> Result<Vec<u8>, String> {
     Ok(content)
 }
 
+/// Largest file that an import reads, in bytes.
+const MOST_IMPORTED: u64 = 64 << 20;
+
+/// A task from a file that another simulator reads. It names further files, of which only models and meshes are read.
+///
+/// # Errors
+/// Why it cannot be imported.
+pub fn import(file: &Path, wishes: &Wishes) -> anyhow::Result<Imported> {
+    let name = file.to_str().context("the path of the file is not UTF-8")?;
+    let mut read = |name: &str| {
+        let end = name.rsplit_once('.').map_or("", |(_, end)| end).to_ascii_lowercase();
+        if !["xml", "mjcf", "urdf", "bddl", "stl", "obj"].contains(&end.as_str()) {
+            return Err(format!(
+                "{name}: a file that ends with `.{end}` is not read. Expected a model, or a mesh (STL, OBJ)"
+            ));
+        }
+        let path = Path::new(name);
+        let shown = |error: io::Error| format!("{name}: {error}");
+        if !path.metadata().map_err(shown)?.is_file() {
+            return Err(format!("{name}: it is not a file"));
+        }
+        let mut content = Vec::new();
+        std::fs::File::open(path).map_err(shown)?.take(MOST_IMPORTED).read_to_end(&mut content).map_err(shown)?;
+        Ok(content)
+    };
+    robogate_tasks::file::import(name, wishes, &mut read).map_err(anyhow::Error::msg)
+}
+
 /// What a check of a task found.
 #[derive(Debug, Default)]
 pub struct Checked {
@@ -98,7 +126,7 @@ pub fn check(folder: &Path, robot: &str, physics: bool) -> Result<Checked, Failu
     checked.problems.extend(check_columns(environment.task()).err().map(|error| error.to_string()));
     idle(&mut checked, &mut *environment, physics, task.moves());
     let episodes = if physics { EXPERT_EPISODES } else { 1 };
-    checked.figures.extend(task.mesh_figures().iter().cloned());
+    checked.figures.extend(task.figures().iter().cloned());
     let settings: Vec<String> = task.own_settings().map(|(name, value)| format!("{name}={value}")).collect();
     if !settings.is_empty() {
         checked.figures.push(format!("settings for --set, with their defaults: {}", settings.join(", ")));

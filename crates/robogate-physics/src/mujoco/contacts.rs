@@ -18,15 +18,16 @@ impl Loaded {
         let object: Vec<(usize, usize)> = self.kinds.iter().enumerate().filter_map(object_geom).collect();
         let mut friction = Coefficients::default();
         for (geom, kind) in self.kinds.iter().enumerate() {
-            let (against, own) = match *kind {
-                Kind::Fixture(fixture) => (self.scene.fixtures[fixture].kind.against(), None),
-                Kind::Robot { finger: Some(_), .. } => (Against::Pad, None),
-                Kind::Robot { finger: None, .. } => (Against::Other, None),
-                Kind::Object(body) => (Against::Other, Some(body)),
+            let other = match *kind {
+                Kind::Fixture(fixture) => (Side::Fixture(fixture), self.scene.fixtures[fixture].kind.against()),
+                Kind::Robot { finger: Some(_), .. } => (Side::Robot, Against::Pad),
+                Kind::Robot { finger: None, .. } => (Side::Robot, Against::Other),
+                Kind::Object(body) => (Side::Body(body), Against::Other),
                 Kind::Visual => continue,
             };
-            let others = object.iter().filter(|(_, body)| own != Some(*body));
-            others.for_each(|(part, _)| friction.add(against, contact_friction(model, *part, geom)));
+            for (part, body) in object.iter().filter(|(_, body)| other.0 != Side::Body(*body)) {
+                friction.contact(&self.scene, *body, other, contact_friction(model, *part, geom));
+            }
         }
         friction.finish()
     }

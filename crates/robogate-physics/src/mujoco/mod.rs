@@ -295,6 +295,7 @@ impl Engine for MujocoEngine {
 
     fn load(&mut self, scene: &Scene, joints: &[f64]) -> Result<(), Fault> {
         let setup = |why: String| Fault::new(FaultKind::Setup, why);
+        scene.pad_friction()?;
         let model = self.compile(scene).map_err(|e| setup(format!("MuJoCo cannot compile the scene: {e}")))?;
         let gripper = &self.robot.settings.gripper;
         let id = |kind, what: &str, name: &str| find(&model, kind, what, name).map_err(setup);
@@ -422,14 +423,17 @@ impl Engine for MujocoEngine {
             if let Kind::Fixture(fixture) = kind {
                 let motion = loaded.movers.iter().find(|mover| mover.fixture == *fixture).map(|mover| mover.motion);
                 let pose = loaded.geom_pose(geom);
-                fixtures.push(FixtureRead { fixture: *fixture, primitive: primitive(model, geom), pose, motion });
+                let friction = loaded.scene.fixtures[*fixture].friction.map(|_| model.geom_friction()[geom][0]);
+                let primitive = primitive(model, geom);
+                fixtures.push(FixtureRead { fixture: *fixture, primitive, pose, motion, friction });
             }
         }
-        let Friction { others, table, pads } = loaded.friction()?;
+        let Friction { others, table, pads, own } = loaded.friction()?;
         Ok(Readback {
             friction: others,
             table_friction: table,
             pad_friction: pads,
+            own_friction: own,
             gravity: -loaded.data.model_opt().gravity[2],
             arm_stiffness: self.arm_stiffness(),
             mass_kg: model.body_mass()[loaded.free[0].body],

@@ -47,9 +47,12 @@ impl MujocoEngine {
             };
             geom.set_contype(FIXTURE.0);
             geom.set_conaffinity(FIXTURE.1);
-            // A table with a separate friction coefficient takes precedence over the object.
-            if let (true, Some(friction)) = (fixture.kind.has_table_friction(), scene.table_friction) {
-                geom.set_priority(2);
+            // A table with a separate friction coefficient takes precedence over the object. With a coefficient of its own, the
+            // larger one of both acts.
+            let table =
+                scene.table_friction.filter(|_| fixture.kind.has_table_friction()).map(|friction| (2, friction));
+            if let Some((priority, friction)) = table.or(fixture.friction.map(|friction| (1, friction))) {
+                geom.set_priority(priority);
                 let mut parts = scene.free_bodies().flat_map(|(object, _)| &object.parts);
                 object_contact(geom, friction, parts.any(Part::rolls));
             }
@@ -80,7 +83,7 @@ impl MujocoEngine {
                 geom.set_mass(0.0);
                 // The object's friction coefficient applies to all of its contacts.
                 geom.set_priority(1);
-                object_contact(geom, scene.friction, matches!(part.primitive, Primitive::Sphere { .. }));
+                object_contact(geom, scene.friction_of(object), matches!(part.primitive, Primitive::Sphere { .. }));
             }
         }
         let cup = self.robot.settings.gripper.cup();

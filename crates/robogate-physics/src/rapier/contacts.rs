@@ -18,24 +18,23 @@ impl Loaded {
     pub(super) fn friction(&self) -> Result<Friction, Fault> {
         let mut friction = Coefficients::default();
         for (handle, kind) in &self.colliders {
-            let (against, own) = match *kind {
-                Kind::Fixture(fixture) => (self.scene.fixtures[fixture].kind.against(), None),
-                Kind::Robot { finger: Some(_), .. } => (Against::Pad, None),
-                Kind::Robot { finger: None, .. } => (Against::Other, None),
-                Kind::Object(body) => (Against::Other, Some(body)),
+            let against = match *kind {
+                Kind::Fixture(fixture) => (Side::Fixture(fixture), self.scene.fixtures[fixture].kind.against()),
+                Kind::Robot { finger: Some(_), .. } => (Side::Robot, Against::Pad),
+                Kind::Robot { finger: None, .. } => (Side::Robot, Against::Other),
+                Kind::Object(body) => (Side::Body(body), Against::Other),
             };
             let other = &self.world.colliders[*handle];
-            let shapes = self.free.iter().enumerate().filter(|(body, _)| own != Some(*body));
-            for part in shapes.flat_map(|(_, (_, shapes))| shapes).map(|shape| &self.world.colliders[*shape]) {
-                friction.add(
-                    against,
-                    CoefficientCombineRule::combine(
-                        part.friction(),
-                        other.friction(),
-                        part.friction_combine_rule(),
-                        other.friction_combine_rule(),
-                    ),
+            let bodies = self.free.iter().enumerate().filter(|(body, _)| against.0 != Side::Body(*body));
+            for (body, part) in bodies.flat_map(|(body, (_, shapes))| shapes.iter().map(move |shape| (body, shape))) {
+                let part = &self.world.colliders[*part];
+                let coefficient = CoefficientCombineRule::combine(
+                    part.friction(),
+                    other.friction(),
+                    part.friction_combine_rule(),
+                    other.friction_combine_rule(),
                 );
+                friction.contact(&self.scene, body, against, coefficient);
             }
         }
         friction.finish()

@@ -54,6 +54,7 @@ impl RapierEngine {
                 "the scene has a body on a joint, which the engine rapier does not simulate. Use --engine mujoco",
             ));
         }
+        scene.pad_friction()?;
         let mut build = Build {
             engine: self,
             scene,
@@ -334,7 +335,7 @@ impl Build<'_> {
                     precedent_coefficient("table_friction", friction, self.scene.friction).map_err(setup)?,
                     CoefficientCombineRule::GeometricMean,
                 ),
-                None => (0.0, CoefficientCombineRule::Max),
+                None => (fixture.friction.unwrap_or(0.0), CoefficientCombineRule::Max),
             };
             let collider = ColliderBuilder::new(shared)
                 .position(pose(&at))
@@ -382,7 +383,7 @@ impl Build<'_> {
             let collider = ColliderBuilder::new(shared)
                 .position(pose(&at))
                 .density(0.0)
-                .friction(self.scene.friction)
+                .friction(self.scene.friction_of(object))
                 .friction_combine_rule(CoefficientCombineRule::Max)
                 .collision_groups(groups(OBJECT, meets));
             shapes.push(self.add_collider(collider, body, Kind::Object(index)));

@@ -153,7 +153,7 @@ impl Engine for RapierEngine {
 
     fn read_back(&self) -> Result<Readback, Fault> {
         let loaded = self.loaded();
-        let Friction { others, table, pads } = loaded.friction()?;
+        let Friction { others, table, pads, own } = loaded.friction()?;
         let free = |body: usize| {
             let (handle, shapes) = &loaded.free[body];
             let object = &loaded.world.bodies[*handle];
@@ -178,6 +178,7 @@ impl Engine for RapierEngine {
                     isometry(collider.position()) * upright.unwrap_or_default()
                 },
                 motion: loaded.scene.fixtures[fixture].motion,
+                friction: loaded.scene.fixtures[fixture].friction.map(|_| collider.friction()),
             });
         }
         let FreeBodyRead { mass_kg, centre_of_mass, parts, pose: object } = free(0);
@@ -185,6 +186,7 @@ impl Engine for RapierEngine {
             friction: others,
             table_friction: table,
             pad_friction: pads,
+            own_friction: own,
             gravity: -loaded.world.gravity.z,
             arm_stiffness: loaded.arm_stiffness(&self.robot.settings.arm),
             mass_kg,

@@ -141,7 +141,7 @@ fn part(primitive: Primitive, x: f64, y: f64) -> Part {
 }
 
 fn obstacle(name: &str, part: Part) -> Fixture {
-    Fixture { name: name.to_owned(), kind: FixtureKind::Obstacle, part, motion: None }
+    Fixture { name: name.to_owned(), kind: FixtureKind::Obstacle, part, motion: None, friction: None, color: None }
 }
 
 fn scene(fixtures: &[Fixture]) -> Scene {

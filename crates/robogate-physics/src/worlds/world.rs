@@ -81,7 +81,7 @@ fn with_spares(scene: &Scene) -> (Scene, Vec<Option<usize>>) {
             let pose = Isometry3::translation(0.0, side * (k + 1) as f64, -SPARE_DEPTH_M);
             let (name, kind) = (String::new(), FixtureKind::Obstacle);
             let part = Part { primitive: primitive.clone(), pose };
-            fixtures.push((None, Fixture { name, kind, part, motion: None }));
+            fixtures.push((None, Fixture { name, kind, part, motion: None, friction: None, color: None }));
         }
     }
     let (order, mut fixtures): (Vec<_>, Vec<_>) = kept.into_iter().chain(boxes).chain(cylinders).unzip();

@@ -100,8 +100,12 @@ pub struct Document {
     /// Bodies that stand still or move by a law. The table is always there: its top is the plane z = 0.
     #[serde(default)]
     pub(super) fixture: Vec<FixtureTable>,
-    /// Bodies that move freely or on a joint. At least one.
+    /// Bodies that move freely or on a joint. At least one, here or in an MJCF file.
+    #[serde(default)]
     pub(super) part: Vec<PartTable>,
+    /// Fixtures and parts from MJCF files beside this one.
+    #[serde(default)]
+    pub(super) mjcf: Vec<FragmentTable>,
     /// Boxes in space, for starts and conditions.
     #[serde(default)]
     pub(super) region: Vec<RegionTable>,
@@ -149,7 +153,7 @@ fn one() -> u32 {
 #[derive(Debug, Default, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub(super) struct SceneTable {
-    /// Coulomb friction coefficient of the parts against everything. Default: 0.7.
+    /// Coulomb friction coefficient of the parts that state none, against everything. Default: 0.7.
     pub(super) friction: Option<Text>,
     /// Gravity. Default: 9.81 m/s^2.
     pub(super) gravity: Option<Text>,
@@ -159,8 +163,30 @@ pub(super) struct SceneTable {
     pub(super) fit_reach: bool,
 }
 
-/// A body that stands still or moves by a law.
+/// Fixtures and parts from an MJCF file beside this one: bodies without a joint become fixtures, bodies with one become parts.
 #[derive(Debug, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct FragmentTable {
+    /// The file: `cabinet.xml`.
+    pub(super) file: Text,
+    /// The name in front of the names of its bodies and sites: `cabinet` makes the body `drawer` `cabinet_drawer`. The only body at
+    /// the top has this name itself. Default: bodies have the names of the file.
+    pub(super) name: Option<Text>,
+    /// Where the origin of the file is in the frame of the robot's base. Default: 0.
+    pub(super) at: Option<Text>,
+    /// Roll, pitch and yaw about the fixed axes. Default: 0.
+    pub(super) rotation: Option<Text>,
+    /// Joints of the file that do not move here: `latch, knob`.
+    pub(super) weld: Option<Text>,
+    /// Whether bodies at the top without joints move freely. Default: no.
+    #[serde(default)]
+    pub(super) free: bool,
+    /// The largest number of convex pieces of its meshes. Default: 1, the convex hull, as in MuJoCo.
+    pub(super) pieces: Option<Text>,
+}
+
+/// A body that stands still or moves by a law.
+#[derive(Debug, Default, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub(super) struct FixtureTable {
     pub(super) name: Text,
@@ -168,8 +194,13 @@ pub(super) struct FixtureTable {
     pub(super) at: Option<Text>,
     /// Roll, pitch and yaw about the fixed axes. Default: 0.
     pub(super) rotation: Option<Text>,
-    /// The shapes.
+    /// The shapes. Without any, the table adds keys to a fixture of an MJCF file.
+    #[serde(default)]
     pub(super) shapes: Vec<ShapeTable>,
+    /// Coulomb friction coefficient. A contact has the larger one of its two bodies. Default: that of the part.
+    pub(super) friction: Option<Text>,
+    /// Colour in images, as `#rrggbb`.
+    pub(super) color: Option<Text>,
     /// A conveyor: direction and speed of its surface, which carries the parts on it: `x, 10 cm/s`. The direction is in
     /// the frame of the fixture: x, y, z, -x, -y or -z.
     pub(super) belt: Option<Text>,
@@ -182,8 +213,8 @@ pub(super) struct FixtureTable {
     pub(super) touch: bool,
 }
 
-/// A shape of a body. Exactly one of box, cylinder, sphere and mesh.
-#[derive(Debug, Deserialize, JsonSchema)]
+/// A shape of a body. Exactly one of box, cylinder, capsule, sphere and mesh.
+#[derive(Debug, Default, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub(super) struct ShapeTable {
     /// The three edges.
@@ -191,13 +222,15 @@ pub(super) struct ShapeTable {
     pub(super) cuboid: Option<Text>,
     /// Diameter and height; the axis is z.
     pub(super) cylinder: Option<Text>,
+    /// Diameter, and length between the centres of its round ends; the axis is z.
+    pub(super) capsule: Option<Text>,
     /// Diameter.
     pub(super) sphere: Option<Text>,
     /// A file beside this one, STL or OBJ: a closed surface. Contacts act on convex pieces of it, images show the mesh itself.
     pub(super) mesh: Option<Text>,
     /// The unit of a mesh's file: m, cm or mm. Default: m.
     pub(super) unit: Option<Text>,
-    /// By how much a mesh is larger than its file. Default: 1.
+    /// By how much a mesh is larger than its file: one factor, or those along x, y and z. Default: 1.
     pub(super) scale: Option<Text>,
     /// The largest number of convex pieces of a mesh: 1 is its convex hull. Default: 16.
     pub(super) pieces: Option<Text>,
@@ -205,17 +238,27 @@ pub(super) struct ShapeTable {
     pub(super) at: Option<Text>,
     /// Roll, pitch and yaw in the frame of the body. Default: 0.
     pub(super) rotation: Option<Text>,
+    /// Mass of this shape of a part, if its shapes differ in density. Either this or the density.
+    pub(super) mass: Option<Text>,
+    /// Density of this shape of a part.
+    pub(super) density: Option<Text>,
 }
 
 /// A body that moves freely or on a joint.
-#[derive(Debug, Deserialize, JsonSchema)]
+#[derive(Debug, Default, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub(super) struct PartTable {
     pub(super) name: Text,
-    /// Mass. Either this or the density.
+    /// Mass. Either this or the density, or those of its shapes.
     pub(super) mass: Option<Text>,
     /// Density, from which the mass follows: `2.7 g/cm^3`.
     pub(super) density: Option<Text>,
+    /// Centre of mass in its frame, if the inertia is stated. Default: 0.
+    pub(super) centre: Option<Text>,
+    /// Inertia about the centre of mass: xx, yy, zz, xy, xz, yz. Default: that of shapes with equal density.
+    pub(super) inertia: Option<Text>,
+    /// Coulomb friction coefficient against everything. Default: that of the scene.
+    pub(super) friction: Option<Text>,
     /// The fixture whose frame `at` and `rotation` refer to. Default: the robot's base.
     #[serde(rename = "in")]
     pub(super) parent: Option<Text>,
@@ -229,7 +272,8 @@ pub(super) struct PartTable {
     pub(super) spin: Option<Text>,
     /// A region over whose area its start is drawn evenly. The policy is told where it is.
     pub(super) start: Option<Text>,
-    /// The shapes, of equal density.
+    /// The shapes, of equal density if they state none. Without any, the table adds keys to a part of an MJCF file.
+    #[serde(default)]
     pub(super) shapes: Vec<ShapeTable>,
     /// Named points in its frame.
     #[serde(default)]
@@ -241,7 +285,7 @@ pub(super) struct PartTable {
 }
 
 /// A named point of a part.
-#[derive(Debug, Deserialize, JsonSchema)]
+#[derive(Debug, Default, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub(super) struct PointTable {
     /// Position in the frame of the part.
@@ -255,7 +299,7 @@ pub(super) struct PointTable {
 #[serde(deny_unknown_fields)]
 pub(super) struct JointTable {
     pub(super) kind: JointWord,
-    /// Direction in the frame of the part: x, y, z, -x, -y or -z.
+    /// Direction in the frame of the part: x, y, z, -x, -y, -z, or three numbers.
     pub(super) axis: Text,
     /// A point of a hinge's axis in the frame of the part. Default: 0.
     pub(super) anchor: Option<Text>,

@@ -4,13 +4,16 @@
 //! [`crate::ArmTask`] like the built-in ones. The declaration of the task contains the text of the file, so that every record,
 //! and all evidence, contains the task. A file has no code, and its size is limited.
 
+mod bodies;
 mod cases;
 mod conditions;
 mod document;
 mod expert;
 mod foresight;
+mod import;
 mod lint;
 mod meshes;
+pub(crate) mod mjcf;
 mod model;
 mod moving;
 mod names;
@@ -35,13 +38,12 @@ use robogate_core::{
     Assignment, Better, CameraSpec, FailureMode, Fault, FaultKind, Foresight, Infeasibility, ParameterSpace, Policy,
     Pose, Scenario, Severity, Stream, TaskInstance, TaskSpec, Word,
 };
-use robogate_physics::{
-    Chain, Color, Fixture, FixtureKind, FreeBody, Gripper, MassProperties, Object, Robot, Scene, Visual, pose,
-};
+use robogate_physics::{Chain, Color, Fixture, FixtureKind, FreeBody, Gripper, Object, Robot, Scene, Visual, pose};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
 pub use document::Document;
+pub use import::{Imported, UNFINISHED, Wishes, import};
 pub use meshes::{Files, Find, MOST_FILE_BYTES};
 pub use problem::Problem;
 
@@ -131,8 +133,8 @@ impl FileTask {
         &self.model.files
     }
 
-    /// What was measured for each mesh, as a line.
-    pub fn mesh_figures(&self) -> &[String] {
+    /// What was measured for each mesh and left out of each MJCF file, as lines.
+    pub fn figures(&self) -> &[String] {
         &self.model.figures
     }
 
@@ -264,23 +266,26 @@ impl FileTask {
         let model = &self.model;
         let body = |index: usize| {
             let (part, own) = (&model.parts[index], &numbers.parts[index]);
-            let mass = MassProperties::homogeneous(&own.shapes, own.mass_kg);
+            let object =
+                Object { parts: own.shapes.clone(), mass: own.mass(), joint: own.joint, friction: own.friction };
             FreeBody {
                 name: part.name.clone(),
-                object: Object { parts: own.shapes.clone(), mass, joint: own.joint },
+                object,
                 pose: layout.parts[index],
                 color: part.color.unwrap_or(COLORS[index % COLORS.len()]),
             }
         };
         let mut fixtures = vec![Fixture::table()];
-        for ((fixture, frame), motion) in model.fixtures.iter().zip(&layout.fixtures).zip(&layout.motions) {
+        let frames = layout.fixtures.iter().zip(&layout.motions).zip(&numbers.frictions);
+        for (fixture, ((frame, motion), friction)) in model.fixtures.iter().zip(frames) {
             for (index, shape) in fixture.shapes.iter().enumerate() {
                 let name = match fixture.shapes.len() {
                     1 => fixture.name.clone(),
                     _ => format!("{}.{}", fixture.name, index + 1),
                 };
                 let part = robogate_physics::Part { pose: frame * shape.pose, ..shape.clone() };
-                fixtures.push(Fixture { name, kind: FixtureKind::Receptacle, part, motion: *motion });
+                let (kind, color) = (FixtureKind::Receptacle, fixture.color);
+                fixtures.push(Fixture { name, kind, part, motion: *motion, friction: *friction, color });
             }
         }
         let FreeBody { object, pose: object_pose, color, .. } = body(0);
@@ -428,7 +433,6 @@ impl Rules for FileTask {
     fn infeasibility(&self, requested: &Assignment, robot: &Robot, grip_force_n: f64) -> Option<Infeasibility> {
         let numbers = self.model.numbers(requested, &self.settings, robot).ok()?;
         let layout = Layout::new(&numbers, &self.model.parents(), &vec![Draws::default(); self.model.parts.len()]);
-        let pads = numbers.friction * numbers.around.gripper.pad_friction_scale;
         let carried = &self.model.cases[numbers.word].carried;
         let far = |part: &usize| {
             let [x, y, _] = layout.parts[*part].translation.vector.into();
@@ -436,6 +440,7 @@ impl Rules for FileTask {
         };
         let heavy = |part: &usize| {
             let part = &numbers.parts[*part];
+            let pads = part.friction.unwrap_or(numbers.friction) * numbers.around.gripper.pad_friction_scale;
             // A cube has vertical faces only.
             let (width_m, friction) = (part.size_m(), part.size_m().map(|_| pads));
             let load = Load {

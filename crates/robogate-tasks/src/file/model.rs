@@ -2,14 +2,14 @@
 
 use robogate_core::budget::Budget;
 use robogate_core::{FailureMode, Word};
-use robogate_physics::{Color, GRAVITY, Motion, Part};
+use robogate_physics::{Color, GRAVITY, Part};
 
 use super::conditions::{Condition, Value};
 use super::document::{Document, Text};
 use super::foresight::{self, PlugIn};
 use super::meshes::{Files, Find, Meshes};
 use super::names::{Names, RESERVED, Region};
-use super::numbers::{Frame, Numbers, PartNumbers, Place, Placed, Target};
+use super::numbers::{Numbers, Placed, Target};
 use super::problem::{Problem, Problems};
 use super::skills::Skill;
 use super::units::{Dimension, quantities};
@@ -22,9 +22,9 @@ pub(super) const FORMAT: &str = "robogate-task/1";
 const BUDGET: Budget = Budget { bytes: 64 << 10, values: 1 << 16, depth: 8 };
 /// The largest number of parts, of shapes of all bodies, and of entries of other lists.
 const MOST_PARTS: usize = 16;
-const MOST_SHAPES: usize = 128;
+const MOST_SHAPES: usize = 512;
 /// The largest number of convex shapes of all bodies: shapes, and pieces of meshes.
-const MOST_CONVEX: usize = 256;
+const MOST_CONVEX: usize = 512;
 const MOST_ENTRIES: usize = 64;
 
 /// Friction coefficient of the parts, if the file states none.
@@ -59,7 +59,7 @@ pub(super) struct Model {
     pub(super) text: String,
     /// The files that it names.
     pub(super) files: Files,
-    /// What was measured for each mesh.
+    /// What was measured for each mesh, and left out of each MJCF file.
     pub(super) figures: Vec<String>,
 }
 
@@ -71,6 +71,7 @@ pub(super) struct FixtureModel {
     /// Indices of its shapes in the scene.
     pub(super) range: std::ops::Range<usize>,
     pub(super) touch: bool,
+    pub(super) color: Option<Color>,
 }
 
 /// A body that moves.
@@ -175,7 +176,12 @@ impl Model {
                 return Err(problems.found);
             }
         };
-        let reading = Reading { problems: &mut problems, names: Names::default(), meshes: Meshes::new(find) };
+        let reading = Reading {
+            problems: &mut problems,
+            names: Names::default(),
+            meshes: Meshes::new(find),
+            left_out: Vec::new(),
+        };
         let model = reading.model(document, text);
         match model {
             Some(model) if problems.found.is_empty() => Ok(model),
@@ -184,6 +190,11 @@ impl Model {
                 Err(problems.found)
             }
         }
+    }
+
+    /// The names of its regions.
+    pub(super) fn region_names(&self) -> impl Iterator<Item = &str> {
+        self.document.region.iter().map(|table| table.name.text.as_str())
     }
 
     /// Whether the file has an expert.
@@ -232,7 +243,8 @@ impl Model {
         let moves = self.nominal.motions.iter().any(Option::is_some);
         moves
             || !self.files.is_empty()
-            || self.nominal.parts.iter().any(|part| part.joint.is_some())
+            || self.nominal.parts.iter().any(|part| part.joint.is_some() || part.friction.is_some())
+            || self.nominal.frictions.iter().any(Option::is_some)
             || self.fixtures.iter().any(|fixture| fixture.touch)
             || self.cases.iter().any(local)
     }
@@ -248,14 +260,17 @@ pub(super) struct Reading<'a, 'b> {
     pub(super) problems: &'a mut Problems<'b>,
     pub(super) names: Names,
     pub(super) meshes: Meshes<'a>,
+    /// What was left out of MJCF files, as lines.
+    pub(super) left_out: Vec<String>,
 }
 
 impl Reading<'_, '_> {
-    fn model(mut self, document: Document, text: &str) -> Option<Model> {
+    fn model(mut self, mut document: Document, text: &str) -> Option<Model> {
         if document.format.text != FORMAT {
             self.problems
                 .of(&document.format, format!("unknown format `{}`. Expected `{FORMAT}`", document.format.text));
         }
+        self.fragments(&mut document);
         self.check_sizes(&document);
         let name = self.word(&document.name);
         let time_limit_s = self.time_limit(&document.time_limit);
@@ -324,7 +339,7 @@ impl Reading<'_, '_> {
             cases,
             text: text.to_owned(),
             files: self.meshes.files,
-            figures: self.meshes.figures,
+            figures: self.meshes.figures.into_iter().chain(self.left_out).collect(),
             document,
         };
         if let (Some(text), Some((_, plug_in))) = (&model.document.foresight, foresight) {
@@ -357,7 +372,8 @@ impl Reading<'_, '_> {
             }
         }
         if document.part.is_empty() {
-            self.problems.at(0, "the file has no part. Expected at least one `[[part]]`", "");
+            let hint = "a `[[part]]`, or a body of an `[[mjcf]]` file with a joint or with `free = true`";
+            self.problems.at(0, "the file has no part. Expected at least one", hint);
         }
     }
 
@@ -375,7 +391,7 @@ impl Reading<'_, '_> {
     }
 
     /// A new name of a body or a region.
-    fn name(&mut self, text: &Text) -> String {
+    pub(super) fn name(&mut self, text: &Text) -> String {
         self.word(text);
         let name = &text.text;
         let names = &self.names;
@@ -414,131 +430,6 @@ impl Reading<'_, '_> {
 
     pub(super) fn placed(&mut self, at: Option<&Text>, rotation: Option<&Text>) -> Placed {
         Placed { at: self.triple(at, Dimension::LENGTH), rotation: self.triple(rotation, Dimension::ANGLE) }
-    }
-
-    fn fixtures(&mut self, document: &Document, nominal: &mut Numbers) -> Vec<FixtureModel> {
-        let mut fixtures = Vec::new();
-        // The table comes first.
-        let mut next = 1;
-        for table in &document.fixture {
-            let name = self.name(&table.name);
-            nominal.fixtures.push(self.placed(table.at.as_ref(), table.rotation.as_ref()));
-            let motion = self.motion(table);
-            nominal.motions.push(motion);
-            let shapes = self.shapes(&table.shapes, &table.name);
-            let range = next..next + shapes.len();
-            next = range.end;
-            self.names.fixtures.push((name.clone(), range.clone()));
-            fixtures.push(FixtureModel { name, shapes, range, touch: table.touch });
-        }
-        fixtures
-    }
-
-    fn parts(&mut self, document: &Document, nominal: &mut Numbers) -> Vec<PartModel> {
-        let mut parts = Vec::new();
-        for (index, table) in document.part.iter().enumerate() {
-            let name = self.name(&table.name);
-            let parent = table.parent.as_ref().and_then(|parent| self.frame(parent, false));
-            let placed = self.placed(table.at.as_ref(), table.rotation.as_ref());
-            let joint = table.joint.as_ref().map(|joint| self.joint(joint));
-            let carried = |motion: &Motion| !matches!(motion, Motion::Belt { .. });
-            if let (Some(text), Some(Frame::Fixture(of)), Some(_)) = (&table.parent, parent, joint)
-                && nominal.motions[of].as_ref().is_some_and(carried)
-            {
-                let why =
-                    format!("`{}` moves, so a part on a joint cannot be in it. Leave out `in` or `joint`", text.text);
-                self.problems.of(text, why);
-            }
-            let shapes = self.shapes(&table.shapes, &table.name);
-            nominal.parts.push(PartNumbers {
-                placed,
-                mass_kg: self.mass(table, &shapes),
-                shapes,
-                spread_m: self.optional(table.spread.as_ref(), Dimension::LENGTH, [0.0, 1.0], 0.0),
-                spin_rad: self.optional(table.spin.as_ref(), Dimension::ANGLE, [0.0, 3.2], 0.0),
-                joint: joint.map(|(joint, _)| joint),
-            });
-            for (point, of) in &table.points {
-                let at = self.triple(Some(&of.at), Dimension::LENGTH).into();
-                let close_rad = of.close.as_ref().and_then(|text| self.number(text, Dimension::ANGLE, [-6.3, 6.3]));
-                let place = Place { close_rad, ..Place::new(Frame::Part(index), at) };
-                if point.contains('.') {
-                    self.problems.of(&of.at, format!("`{point}` has a dot. Expected a name without one"));
-                }
-                self.names.points.insert(format!("{name}.{point}"), place);
-            }
-            let color = table.color.as_ref().and_then(|text| {
-                let color = Color::from_hex(&text.text);
-                self.problems.take(text, color.ok_or_else(|| format!("`{}`: expected #rrggbb", text.text)))
-            });
-            self.names.parts.push((name.clone(), joint.map(|(_, dimension)| dimension)));
-            let parent = match parent {
-                Some(Frame::Fixture(parent)) => Some(parent),
-                _ => None,
-            };
-            parts.push(PartModel { name, parent, start: None, color });
-        }
-        parts
-    }
-
-    /// The frame that `in` names: a fixture, or a part where `parts` allows it.
-    fn frame(&mut self, text: &Text, parts: bool) -> Option<Frame> {
-        match self.names.frame_named(0, &text.text) {
-            Ok(Frame::Part(_)) if !parts => {
-                self.problems.of(text, format!("`{}` is a part. Expected a fixture", text.text));
-                None
-            }
-            Ok(frame) => Some(frame),
-            Err((_, why)) => {
-                self.problems.of(text, why);
-                None
-            }
-        }
-    }
-
-    fn regions(&mut self, document: &Document) {
-        for table in &document.region {
-            let name = self.name(&table.name);
-            let on = table.parent.as_ref().and_then(|parent| self.frame(parent, true)).unwrap_or(Frame::World);
-            let at = self.triple(table.at.as_ref(), Dimension::LENGTH).into();
-            let half = self.triple(Some(&table.size), Dimension::LENGTH).map(|edge| 0.5 * edge);
-            if half.iter().any(|half| *half <= 0.0) {
-                self.problems.of(&table.size, format!("`{}`: expected three edges above 0", table.size.text));
-            }
-            self.names.regions.push((name, Region { on, at, half }));
-        }
-    }
-
-    fn with_starts(&mut self, document: &Document, mut parts: Vec<PartModel>) -> Vec<PartModel> {
-        for (table, part) in document.part.iter().zip(&mut parts) {
-            let Some(text) = &table.start else { continue };
-            match self.names.region_named(0, &text.text) {
-                Ok(Region { on: Frame::Part(_), .. }) => {
-                    self.problems.of(text, format!("the region `{}` moves with a part", text.text));
-                }
-                Ok(_) if table.joint.is_some() => {
-                    self.problems.of(text, "a part on a joint does not start in a region. Leave out `start`");
-                }
-                Ok(region) => {
-                    part.start = Some(region);
-                    // The draw of the region takes the place of these numbers.
-                    for parameter in &document.parameter {
-                        let Some(sets) = &parameter.sets else { continue };
-                        let own =
-                            sets.text.strip_prefix(table.name.text.as_str()).and_then(|rest| rest.strip_prefix('.'));
-                        if own.is_some_and(|own| ["at.x", "at.y", "spread"].contains(&own)) {
-                            let why = format!(
-                                "`{}` has no effect: the part starts anywhere in the region `{}`",
-                                sets.text, text.text
-                            );
-                            self.problems.of(sets, why);
-                        }
-                    }
-                }
-                Err((_, why)) => self.problems.of(text, why),
-            }
-        }
-        parts
     }
 }
 

@@ -16,10 +16,14 @@ impl Reading<'_, '_> {
             "-x" => -Vector3::x(),
             "-y" => -Vector3::y(),
             "-z" => -Vector3::z(),
-            other => {
-                self.problems.of(text, format!("unknown axis `{other}`. Expected x, y, z, -x, -y or -z"));
-                Vector3::z()
-            }
+            other => match quantities::<3>(other, Dimension::NONE).map(Vector3::from) {
+                Ok(direction) if direction.norm() > 1e-6 => direction.normalize(),
+                _ => {
+                    let expected = "Expected x, y, z, -x, -y, -z, or three numbers such as `0, 0.6, 0.8`";
+                    self.problems.of(text, format!("unknown axis `{other}`. {expected}"));
+                    Vector3::z()
+                }
+            },
         }
     }
 

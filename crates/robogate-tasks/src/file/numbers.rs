@@ -1,7 +1,7 @@
 //! The numbers of a scene that parameters can set, and the poses that follow from them.
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
-use robogate_physics::{Joint, Motion, Part, Primitive};
+use robogate_physics::{Joint, MassProperties, Motion, Part, Primitive};
 
 use super::conditions::Value;
 use super::units::Dimension;
@@ -13,7 +13,10 @@ pub(super) struct Numbers {
     pub(super) fixtures: Vec<Placed>,
     /// How each fixture moves, in its own frame.
     pub(super) motions: Vec<Option<Motion>>,
+    /// The friction coefficient of each fixture that has its own.
+    pub(super) frictions: Vec<Option<f64>>,
     pub(super) parts: Vec<PartNumbers>,
+    /// That of the parts without their own.
     pub(super) friction: f64,
     pub(super) gravity: f64,
     /// The value of each parameter, then of each setting.
@@ -52,6 +55,9 @@ impl Placed {
 pub(super) struct PartNumbers {
     pub(super) placed: Placed,
     pub(super) mass_kg: f64,
+    /// Centre and inertia, if its shapes do not have equal density. Its mass does not matter.
+    pub(super) bulk: Option<MassProperties>,
+    pub(super) friction: Option<f64>,
     pub(super) shapes: Vec<Part>,
     /// Radius of the disc of its start, in metres, and largest rotation, in radians.
     pub(super) spread_m: f64,
@@ -68,6 +74,8 @@ pub(super) enum Target {
     Gravity,
     /// The coordinate of a fixture: x, y, z, or its yaw.
     Fixture(usize, usize),
+    /// The friction coefficient of a fixture.
+    FixtureFriction(usize),
     /// The speed of a fixture, of its surface if it is a belt.
     Speed(usize),
     /// The distance between the ends of a fixture that shuttles.
@@ -81,6 +89,7 @@ pub(super) enum PartTarget {
     /// x, y, z, or the yaw.
     Placed(usize),
     Mass,
+    Friction,
     /// The edges of a part that is one box, or the diameter of one ball.
     Size,
     Spread,
@@ -105,7 +114,7 @@ impl Target {
     /// The smallest value that it can have in physics.
     pub(super) fn least(self) -> f64 {
         match self {
-            Self::Friction => 0.01,
+            Self::Friction | Self::FixtureFriction(_) | Self::Part(_, PartTarget::Friction) => 0.01,
             Self::Distance(_) | Self::Part(_, PartTarget::Size) => 1e-3,
             Self::Part(_, PartTarget::Mass) => 1e-4,
             Self::Part(
@@ -131,6 +140,7 @@ impl Target {
             Self::Friction => Some(&mut numbers.friction),
             Self::Gravity => Some(&mut numbers.gravity),
             Self::Fixture(of, which) => Some(numbers.fixtures[of].number(which)),
+            Self::FixtureFriction(of) => numbers.frictions[of].as_mut(),
             Self::Speed(of) => numbers.motions[of].as_mut().and_then(speed),
             Self::Distance(of) => match numbers.motions[of].as_mut() {
                 Some(Motion::Shuttle { distance_m, .. }) => Some(distance_m),
@@ -141,6 +151,7 @@ impl Target {
                 match which {
                     PartTarget::Placed(which) => Some(part.placed.number(which)),
                     PartTarget::Mass => Some(&mut part.mass_kg),
+                    PartTarget::Friction => part.friction.as_mut(),
                     PartTarget::Size => None,
                     PartTarget::Spread => Some(&mut part.spread_m),
                     PartTarget::Spin => Some(&mut part.spin_rad),
@@ -174,6 +185,14 @@ impl Target {
 }
 
 impl PartNumbers {
+    /// Mass, centre of mass and inertia.
+    pub(super) fn mass(&self) -> MassProperties {
+        match self.bulk {
+            Some(bulk) => bulk.with_mass(self.mass_kg),
+            None => MassProperties::homogeneous(&self.shapes, self.mass_kg),
+        }
+    }
+
     /// The edge of a cube or the diameter of a ball, in metres. `None` for another part.
     pub(super) fn size_m(&self) -> Option<f64> {
         edge_m(self.shapes.iter().map(|part| &part.primitive))

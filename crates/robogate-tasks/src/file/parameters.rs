@@ -162,6 +162,11 @@ impl Model {
                 let found = coordinate(self.fixture_at(engine, of), &acting.settings.fixtures[of], which);
                 if which < 2 { found / acting.settings.scale } else { found }
             }
+            Target::FixtureFriction(of) => {
+                let index = self.fixtures[of].range.start;
+                let read = engine.fixtures.iter().find(|read| read.fixture == index);
+                read.and_then(|read| read.friction).unwrap_or(f64::NAN)
+            }
             Target::Speed(of) => self.motion(engine, of).as_mut().and_then(speed).map_or(f64::NAN, |speed| *speed),
             Target::Distance(of) => match self.motion(engine, of) {
                 Some(Motion::Shuttle { distance_m, .. }) => distance_m,
@@ -215,6 +220,9 @@ impl Model {
             }
             PartTarget::Placed(which) => off(which) - drawn[which],
             PartTarget::Mass => mass_kg,
+            PartTarget::Friction => {
+                engine.own_friction.iter().find(|(body, _)| *body == of).map_or(f64::NAN, |(_, friction)| *friction)
+            }
             PartTarget::Size => edge_m(shapes.iter()).unwrap_or(f64::NAN),
             PartTarget::Spread => {
                 let moved = [off(0) - part.placed.at[0], off(1) - part.placed.at[1]];

@@ -7,6 +7,8 @@ use super::document::Text;
 /// A problem of a task's file.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Problem {
+    /// The file that `task.toml` names, if the problem is in it. Empty for `task.toml` itself.
+    pub file: String,
     /// The line, from 1.
     pub line: usize,
     /// What is wrong, and what was expected.
@@ -17,6 +19,9 @@ pub struct Problem {
 
 impl fmt::Display for Problem {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if !self.file.is_empty() {
+            write!(f, "{}, ", self.file)?;
+        }
         write!(f, "line {}: {}", self.line, self.what)?;
         if self.hint.is_empty() { Ok(()) } else { write!(f, "\nHint: {}", self.hint) }
     }
@@ -26,22 +31,34 @@ impl fmt::Display for Problem {
 #[derive(Debug)]
 pub(super) struct Problems<'a> {
     file: &'a str,
+    /// Lines of other files: the positions after the end of this one.
+    elsewhere: Vec<(String, usize)>,
     pub(super) found: Vec<Problem>,
 }
 
 impl<'a> Problems<'a> {
     pub(super) fn new(file: &'a str) -> Self {
-        Self { file, found: Vec::new() }
+        Self { file, elsewhere: Vec::new(), found: Vec::new() }
     }
 
-    fn line(&self, at: usize) -> usize {
-        1 + self.file.as_bytes().iter().take(at).filter(|byte| **byte == b'\n').count()
+    /// A position that stands for a line of another file.
+    pub(super) fn elsewhere(&mut self, file: &str, line: usize) -> usize {
+        if self.elsewhere.last().is_none_or(|(last, of)| last != file || *of != line) {
+            self.elsewhere.push((file.to_owned(), line));
+        }
+        self.file.len() + self.elsewhere.len()
+    }
+
+    fn place(&self, at: usize) -> (String, usize) {
+        let other = at.checked_sub(self.file.len() + 1).and_then(|index| self.elsewhere.get(index));
+        let line = || 1 + self.file.as_bytes().iter().take(at).filter(|byte| **byte == b'\n').count();
+        other.cloned().unwrap_or_else(|| (String::new(), line()))
     }
 
     /// Adds a problem at a byte of the file.
     pub(super) fn at(&mut self, at: usize, what: impl Into<String>, hint: impl Into<String>) {
-        let line = self.line(at);
-        self.found.push(Problem { line, what: what.into(), hint: hint.into() });
+        let (file, line) = self.place(at);
+        self.found.push(Problem { file, line, what: what.into(), hint: hint.into() });
     }
 
     /// Adds a problem of a text.

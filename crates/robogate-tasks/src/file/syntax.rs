@@ -70,6 +70,10 @@ pub(super) fn parse(text: &str) -> Result<Node, Wrong> {
     if text.len() > LONGEST {
         return Err((0, format!("the text has {} bytes. At most {LONGEST} are accepted", text.len())));
     }
+    if text.starts_with(super::import::UNFINISHED) {
+        let example = "such as `joint(drawer) > 15 cm` or `on(cup, shelf) for 0.5 s`";
+        return Err((0, format!("the condition is not written yet. Say when it holds, {example}")));
+    }
     let mut parser = Parser { tokens: tokens(text)?, next: 0, depth: 0 };
     let node = parser.any()?;
     match parser.peek() {

@@ -180,19 +180,36 @@ impl Names {
         let length = |which: usize| if which == YAW { Dimension::ANGLE } else { Dimension::LENGTH };
         if owner == "scene" {
             return match rest {
+                "friction" if nominal.parts.iter().all(|part| part.friction.is_some()) => {
+                    Err("`scene.friction` has no effect: every part has its own `friction`".to_owned())
+                }
                 "friction" => Ok((Target::Friction, Dimension::NONE)),
                 "gravity" => Ok((Target::Gravity, Dimension::ACCELERATION)),
                 _ => Err(unknown(&["friction", "gravity"])),
             };
         }
-        match (self.frame_named(0, owner).map_err(|(_, why)| why)?, placed) {
+        let frame = self.frame_named(0, owner).map_err(|(_, why)| why)?;
+        if rest == "friction" {
+            let (found, target) = match frame {
+                Frame::Part(of) => (nominal.parts[of].friction, Target::Part(of, PartTarget::Friction)),
+                Frame::Fixture(of) => (nominal.frictions[of], Target::FixtureFriction(of)),
+                _ => return Err(unknown(&PLACED)),
+            };
+            let stated = found.map(|_| (target, Dimension::NONE));
+            return stated.ok_or_else(|| {
+                format!(
+                    "`{owner}` has no `friction` of its own. State its nominal value in the table: `friction = 0.7`"
+                )
+            });
+        }
+        match (frame, placed) {
             (Frame::Fixture(of), Some(which)) => Ok((Target::Fixture(of, which), length(which))),
             (Frame::Fixture(of), None) => match (rest, nominal.motions[of]) {
                 ("speed", Some(Motion::Turn { .. })) => Ok((Target::Speed(of), Dimension::TURNING)),
                 ("speed", Some(_)) => Ok((Target::Speed(of), Dimension::SPEED)),
                 ("distance", Some(Motion::Shuttle { .. })) => Ok((Target::Distance(of), Dimension::LENGTH)),
-                (_, None) => Err(unknown(&PLACED)),
-                _ => Err(unknown(&[&PLACED[..], &["speed", "distance"]].concat())),
+                (_, None) => Err(unknown(&[&PLACED[..], &["friction"]].concat())),
+                _ => Err(unknown(&[&PLACED[..], &["friction", "speed", "distance"]].concat())),
             },
             (Frame::Part(of), Some(which)) => Ok((Target::Part(of, PartTarget::Placed(which)), length(which))),
             (Frame::Part(of), None) => {
@@ -207,6 +224,9 @@ impl Names {
                     "size" if nominal.parts[of].size_m().is_none() => {
                         Err(format!("`{owner}` has no size. Expected a part of one cube or one ball"))
                     }
+                    "size" if nominal.parts[of].bulk.is_some() => {
+                        Err(format!("`{owner}` states its inertia, so its size cannot be set"))
+                    }
                     "size" => Ok((Target::Part(of, PartTarget::Size), Dimension::LENGTH)),
                     "spread" => Ok((Target::Part(of, PartTarget::Spread), Dimension::LENGTH)),
                     "spin" => Ok((Target::Part(of, PartTarget::Spin), Dimension::ANGLE)),
@@ -217,7 +237,7 @@ impl Names {
                     "joint.rest" => of_joint(PartTarget::Rest, &|joint| joint),
                     _ => {
                         let joint = ["joint.damping", "joint.friction", "joint.stiffness", "joint.start", "joint.rest"];
-                        Err(unknown(&[&PLACED[..], &["mass", "size", "spread", "spin"], &joint].concat()))
+                        Err(unknown(&[&PLACED[..], &["mass", "friction", "size", "spread", "spin"], &joint].concat()))
                     }
                 }
             }

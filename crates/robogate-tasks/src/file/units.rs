@@ -19,6 +19,7 @@ impl Dimension {
     pub(super) const SPEED: Self = Self([1, 0, -1, 0]);
     pub(super) const TURNING: Self = Self([0, 0, -1, 1]);
     pub(super) const ACCELERATION: Self = Self([1, 0, -2, 0]);
+    pub(super) const INERTIA: Self = Self([2, 1, 0, 0]);
     pub(super) const DENSITY: Self = Self([-3, 1, 0, 0]);
 
     pub(super) fn times(self, other: Self) -> Self {

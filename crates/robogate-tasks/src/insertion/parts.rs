@@ -30,7 +30,7 @@ pub fn peg(width_m: f64, mass_kg: f64, lever_m: f64) -> Object {
     ];
     let mut mass = MassProperties::homogeneous(&parts, mass_kg);
     mass.centre.x += lever_m;
-    Object { parts, mass, joint: None }
+    Object { parts, mass, joint: None, friction: None }
 }
 
 /// A block with a hole of this width and chamfer (m) at `mouth`: four walls, each of a lower part, an upper part behind
@@ -51,6 +51,8 @@ pub fn block(mouth: &Isometry3<f64>, hole_m: f64, chamfer_m: f64) -> Vec<Fixture
                 kind: FixtureKind::Receptacle,
                 part: Part { primitive, pose },
                 motion: None,
+                friction: None,
+                color: None,
             });
         };
         let lower = DEPTH_M - chamfer_m;

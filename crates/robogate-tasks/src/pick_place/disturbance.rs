@@ -41,6 +41,8 @@ impl Disturbance {
             kind: FixtureKind::Disturbance,
             part: Part { primitive: Primitive::Box { half: HALF }, pose: Isometry3::from_parts(at, rotation) },
             motion: Some(Motion::Straight { velocity, starts_s: self.start_s, ends_s }),
+            friction: None,
+            color: None,
         })
     }
 

@@ -124,7 +124,7 @@ impl Shape {
     pub fn object(self, size_m: f64, mass_kg: f64, com_offset: f64) -> Object {
         let parts = self.parts(size_m);
         let mass = MassProperties::with_ballast(&parts, mass_kg, com_offset, self.ballast() * (0.5 * size_m));
-        Object { parts, mass, joint: None }
+        Object { parts, mass, joint: None, friction: None }
     }
 
     /// The centre-of-mass offset of an object of this size (m) whose centre of mass is at `centre` (m, in the object's

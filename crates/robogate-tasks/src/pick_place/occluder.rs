@@ -27,7 +27,14 @@ pub(crate) fn panels(count: usize, object: [f64; 2]) -> Vec<Fixture> {
             primitive: Primitive::Box { half: HALF },
             pose: Isometry3::from_parts(Translation3::from(at), rotation),
         };
-        Fixture { name: format!("occluder_{}", i + 1), kind: FixtureKind::Occluder, part, motion: None }
+        Fixture {
+            name: format!("occluder_{}", i + 1),
+            kind: FixtureKind::Occluder,
+            part,
+            motion: None,
+            friction: None,
+            color: None,
+        }
     };
     (0..count).map(panel).collect()
 }

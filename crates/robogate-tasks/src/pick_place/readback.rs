@@ -183,11 +183,13 @@ mod tests {
             primitive: Some(fixture.part.primitive.clone()),
             pose: fixture.part.pose,
             motion: fixture.motion,
+            friction: None,
         });
         Readback {
             friction: scene.friction,
             table_friction: scene.table_friction.unwrap_or(scene.friction),
             pad_friction: Some(scene.friction * scene.gripper.pad_friction_scale),
+            own_friction: Vec::new(),
             gravity: scene.gravity,
             arm_stiffness: Some(scene.arm_stiffness),
             mass_kg: scene.object.mass.mass_kg,

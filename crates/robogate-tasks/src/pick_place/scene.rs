@@ -69,7 +69,7 @@ pub fn scene(
             .ok_or_else(|| format!("there is no room for obstacle {i} of {}", parameters.obstacles))?;
         taken.push(place);
         let (name, kind) = (format!("obstacle_{i}"), FixtureKind::Obstacle);
-        fixtures.push(Fixture { name, kind, part, motion: None });
+        fixtures.push(Fixture { name, kind, part, motion: None, friction: None, color: None });
     }
     fixtures.extend(panels);
     fixtures.extend(parameters.disturbance.fixture());

@@ -6,12 +6,16 @@ use std::path::Path;
 use std::sync::Arc;
 
 use robogate_core::ParameterSpace;
+#[cfg(feature = "mujoco")]
+use robogate_core::{Action, Command, Environment};
 use robogate_core::{Assignment, Episode, Outcome, Scenario, Seed, Value, rollout};
 #[cfg(feature = "mujoco")]
 use robogate_physics::MujocoEngine;
 #[cfg(feature = "rapier")]
 use robogate_physics::RapierEngine;
 use robogate_physics::{Engine, Robot};
+#[cfg(feature = "mujoco")]
+use robogate_tasks::ArmEnvironment;
 use robogate_tasks::claims::{Bench, Setup, Workbench};
 use robogate_tasks::file::{FileTask, shipped};
 use robogate_tasks::insertion::Insertion;
@@ -168,4 +172,18 @@ pub(crate) fn outcome(episode: &Episode) -> &str {
         Outcome::Success => "success",
         Outcome::Invalid(fault) => panic!("{fault}"),
     }
+}
+
+/// The task runs: nothing falls through the table or flies away while the robot waits.
+#[cfg(feature = "mujoco")]
+pub(crate) fn runs(task: &FileTask) -> ArmEnvironment {
+    let rig = Rig { picture_px: [16; 2], ..Rig::default() };
+    let mut environment = task.on(EngineKind::Mujoco.robot("franka").engine(), rig).unwrap();
+    let start = environment.reset(&scenario(0, &[])).unwrap();
+    let posture = start.observation.joint_positions().to_vec();
+    for _ in 0..20 {
+        let command = Command::JointPosition(posture.clone());
+        environment.step(&Action { command, gripper: Some(Action::OPEN), phase: None }).unwrap();
+    }
+    environment
 }

@@ -180,7 +180,7 @@ fn cell() -> (Plant<MujocoEngine>, Steering) {
     let mut plant = Plant::new(engine, 0.05, None).unwrap();
     let parts = vec![Part { primitive: Primitive::Box { half: [0.025; 3] }, pose: Isometry3::identity() }];
     let scene = Scene {
-        object: Object { mass: MassProperties::homogeneous(&parts, 0.3), parts, joint: None },
+        object: Object { mass: MassProperties::homogeneous(&parts, 0.3), parts, joint: None, friction: None },
         object_pose: Isometry3::translation(0.5, -0.4, 0.025),
         friction: 0.8,
         table_friction: None,

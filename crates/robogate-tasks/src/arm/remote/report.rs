@@ -276,6 +276,7 @@ impl RemoteReadback {
             friction: self.friction,
             table_friction: self.table_friction,
             pad_friction: self.pad_friction,
+            own_friction: Vec::new(),
             gravity: self.gravity_m_s2,
             arm_stiffness: Some(arm_stiffness),
             mass_kg,
