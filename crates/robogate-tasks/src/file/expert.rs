@@ -15,13 +15,19 @@ use super::numbers::{Draws, Frame, Layout, Numbers, Place};
 use super::shapes::heights;
 use super::skills::{Motion, Skill};
 use crate::arm::{
-    CONTROL_PERIOD_S, FREE, Planner, Script, Stage, compliance, cup_yaw, drives_task, grasp_height, tool_down,
+    CONTROL_PERIOD_S, FREE, Fit, Planner, Script, Stage, compliance, cup_yaw, drives_task, grasp_height, tool_down,
 };
 
 /// Acceleration limit of a tool that holds or pushes something, in m/s^2.
 const CAREFUL_M_S2: f64 = 0.8;
 /// Speed of a tool that holds or pushes something, in m/s, if the file states none.
 const CAREFUL_M_S: f64 = 0.1;
+/// Speed of a tool that turns, in rad/s, if the file states none.
+const TWIST_RAD_S: f64 = 1.0;
+/// Largest force of the search for a hole, in newtons.
+const SEARCH_N: f64 = 5.0;
+/// The range within which a hole catches a part, in metres, if the file states none.
+const CATCH_M: f64 = 1e-3;
 /// Distance of the tool from the axis of a hinge that counts as a way, in metres per radian.
 const LEVER_M: f64 = 0.05;
 
@@ -346,6 +352,7 @@ impl<'a> Plan<'a> {
     fn add(&mut self, skill: &Skill) -> Result<(), Unreachable> {
         let phase = skill.phase;
         let above = |at: Vector3<f64>, height: f64| at + Vector3::new(0.0, 0.0, height);
+        self.planner.relative(skill.is_relative());
         match &skill.what {
             Motion::Approach(place, height, _) | Motion::Over(place, height) => {
                 let (absolute, command) = match &skill.what {
@@ -433,6 +440,21 @@ impl<'a> Plan<'a> {
                 let soft = compliance(self.cell.robot, self.chain, self.planner.at(), 1.0);
                 let further = along * (soft * along).dot(&along) * self.number(force);
                 self.line(phase, self.tool().translation.vector + further, self.careful(None))?;
+            }
+            Motion::Insert(place, depth, force, catch) => {
+                self.tracked = None;
+                self.insert(phase, place, [self.number(depth), self.number(force)], catch.as_ref())?;
+            }
+            Motion::Twist(angle, speed) => {
+                self.tracked = None;
+                let (tool, angle) = (self.tool(), self.number(angle));
+                let speed = speed.as_ref().map_or(TWIST_RAD_S, |speed| self.number(speed));
+                let limit = ToolLimit { speed: speed * LEVER_M, acceleration: CAREFUL_M_S2 };
+                let pose = |share: f64| {
+                    let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), share * angle);
+                    Isometry3::from_parts(tool.translation, turn * tool.rotation)
+                };
+                self.planner.along(phase, &pose, LEVER_M * angle.abs(), limit, self.gripper)?;
             }
             Motion::Wait(duration) => {
                 let periods =
@@ -528,6 +550,35 @@ impl<'a> Plan<'a> {
         poses.iter().fold(first, |done, pose| done.or_else(|_| self.to(phase, pose, limit)))
     }
 
+    /// Brings the part in the hand by touch into a hole, without turning it.
+    fn insert(
+        &mut self,
+        phase: Word,
+        place: &Place,
+        [depth, force]: [f64; 2],
+        catch: Option<&Value>,
+    ) -> Result<(), Unreachable> {
+        let end = self.cell.at(place, &self.frame(place.on)).translation.vector;
+        let down = self.tool().rotation;
+        let (offset, low) = self.in_hand.map_or((Vector3::zeros(), 0.0), |(of, in_tool)| {
+            (down * in_tool.translation.vector, heights(self.cell.numbers.parts[of].shapes.iter())[0])
+        });
+        let goal = end - offset;
+        let fit = Fit {
+            clearance_m: catch.map_or(CATCH_M, |catch| self.number(catch)),
+            chamfer_m: 0.0,
+            hole: Vector3::new(goal.x, goal.y, end.z + low + depth),
+            depth_m: depth,
+            tool_m: goal.z - end.z - low,
+            down,
+            search_n: force.min(SEARCH_N),
+            insert_n: force,
+            stiffness: 1.0,
+        };
+        let pose = Isometry3::from_parts(Translation3::from(goal), down);
+        self.planner.feel(phase, pose, self.careful(None), self.gripper, fit)
+    }
+
     /// Moves with a part along its joint.
     fn follow(&mut self, phase: Word, of: usize, to: f64, speed: Option<&Value>) -> Result<(), Unreachable> {
         let (from, tool) = (self.cell.joints[of], self.tool());
@@ -536,7 +587,7 @@ impl<'a> Plan<'a> {
         // A hinge moves the tool by its distance from the axis.
         let lever = match joint.kind {
             robogate_physics::JointKind::Slide => 1.0,
-            robogate_physics::JointKind::Hinge => {
+            robogate_physics::JointKind::Hinge | robogate_physics::JointKind::Screw => {
                 let from_axis = (joint.motion(from) * in_part).translation.vector - joint.anchor;
                 from_axis.cross(&joint.axis.normalize()).norm().max(LEVER_M)
             }
