@@ -66,12 +66,15 @@ pub(super) fn couple(spec: &mut MjSpec, name: &str, joint: &Joint) {
     if joint.kind != JointKind::Screw {
         return;
     }
+    // An equality of joints would be as soft as the small inertia of a turning body allows. MuJoCo knows the inertia of a tendon.
+    let tendon = spec.add_tendon().with_name(&along_name(name));
+    tendon.wrap_joint(&along_name(name), 1.0);
+    tendon.wrap_joint(name, -joint.lead_m_rad());
     let lead = spec.add_equality().with_name(&along_name(name));
-    lead.set_type(MjtEq::mjEQ_JOINT);
-    lead.set_objtype(MjtObjBase::mjOBJ_JOINT);
+    lead.set_type(MjtEq::mjEQ_TENDON);
+    lead.set_objtype(MjtObjBase::mjOBJ_TENDON);
     lead.set_name1(&along_name(name));
-    lead.set_name2(name);
-    lead.data_mut()[..5].copy_from_slice(&[0.0, joint.lead_m_rad(), 0.0, 0.0, 0.0]);
+    lead.data_mut()[..5].fill(0.0);
     lead.solref_mut()[..2].copy_from_slice(&[contact::TIME_CONSTANT_S, 1.0]);
     lead.solimp_mut()[..2].fill(HOLDS);
     if joint.thread.is_some() {
@@ -135,7 +138,9 @@ impl Loaded {
     fn lead(&self, body: usize) -> Option<f64> {
         let model = self.data.model();
         let name = along_name(&super::scene::free_name(body));
-        model.name_to_id(MjtObjBase::mjOBJ_EQUALITY, &name).map(|of| model.eq_data()[of][1])
+        let tendon = model.name_to_id(MjtObjBase::mjOBJ_TENDON, &name)?;
+        // Its second joint is the angle.
+        Some(-model.wrap_prm()[model.tendon_adr()[tendon] as usize + 1])
     }
 
     /// Switches the weld of the thread of a body on a screw on or off. Returns it.

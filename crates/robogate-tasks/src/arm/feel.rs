@@ -43,7 +43,7 @@ const SPIRAL_RADIUS_M: f64 = 0.012;
 /// The tool has found the hole when it sinks by this, in metres.
 const SUNK_M: f64 = 7e-4;
 /// Part of the lateral lag that the command gives up in each control period.
-const YIELD_SHARE: f64 = 0.5;
+pub(super) const YIELD_SHARE: f64 = 0.5;
 /// Control periods without progress before the command circles, and before the part is lifted.
 const CIRCLE_TICKS: u32 = 6;
 const LIFT_TICKS: u32 = 36;
