@@ -2,15 +2,15 @@
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use rapier3d_f64::dynamics::{
-    FixedJointBuilder, GenericJointBuilder, JointAxesMask, JointAxis, MultibodyDofCoupling, MultibodyJointHandle,
-    RigidBodyBuilder, RigidBodyHandle,
+    FixedJointBuilder, GenericJointBuilder, ImpulseJointHandle, JointAxesMask, JointAxis, MotorModel,
+    MultibodyDofCoupling, MultibodyJointHandle, RigidBodyBuilder, RigidBodyHandle, SpringCoefficients,
 };
 use rapier3d_f64::prelude::PhysicsWorld;
 use robogate_core::Fault;
 
 use super::Loaded;
 use super::convert::pose;
-use super::load::setup;
+use super::load::{CONTACT_DAMPING, CONTACT_HZ, setup};
 use crate::description::isometry;
 use crate::{Joint, JointKind};
 
@@ -31,13 +31,24 @@ fn coordinates(kind: JointKind) -> (usize, usize) {
     if kind == JointKind::Screw { (2, 1) } else { (1, 0) }
 }
 
+/// Damping of the motor that acts as dry friction, in N s/m or N m s/rad: below its largest force the joint stands still.
+const HOLDS: f64 = 1e6;
+
+/// The joint of a body.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Handles {
+    link: MultibodyJointHandle,
+    /// The motor that acts as dry friction.
+    friction: Option<ImpulseJointHandle>,
+}
+
 /// Adds the joint of a body to the ground. The body has its pose at the value 0.
 pub(super) fn add(
     world: &mut PhysicsWorld,
     body: RigidBodyHandle,
     at: &Isometry3<f64>,
     joint: &Joint,
-) -> Result<MultibodyJointHandle, Fault> {
+) -> Result<Handles, Fault> {
     let locked = match joint.kind {
         JointKind::Slide => JointAxesMask::LOCKED_PRISMATIC_AXES,
         JointKind::Hinge => JointAxesMask::LOCKED_REVOLUTE_AXES,
@@ -47,9 +58,12 @@ pub(super) fn add(
         .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::z_axis(), std::f64::consts::PI));
     let frame = Isometry3::from_parts(Translation3::from(joint.anchor), along);
     let (axis, index) = axis(joint.kind);
-    let mut data =
-        GenericJointBuilder::new(locked).local_frame1(pose(&(at * frame))).local_frame2(pose(&frame)).build();
+    let between =
+        |locked| GenericJointBuilder::new(locked).local_frame1(pose(&(at * frame))).local_frame2(pose(&frame));
+    let mut data = between(locked).build();
     data.set_limits(axis, joint.range);
+    // A stop without give would stop what drives the joint within a time step.
+    data.softness = SpringCoefficients::new(CONTACT_HZ, CONTACT_DAMPING);
     let ground = world.insert_body(RigidBodyBuilder::fixed());
     let refused = || setup("Rapier does not accept the joint of a part".to_owned());
     let handle = world.insert_multibody_joint(ground, body, data).ok_or_else(refused)?;
@@ -59,7 +73,6 @@ pub(super) fn add(
     let (count, value) = coordinates(joint.kind);
     multibody.damping_mut().fill(0.0);
     multibody.damping_mut()[value] = joint.damping;
-    multibody.frictions_mut()[value] = joint.friction;
     if let Some(link) = multibody.link_mut(id) {
         link.joint.set_spring(index, joint.stiffness, joint.rest);
     }
@@ -81,20 +94,26 @@ pub(super) fn add(
     multibody.apply_displacements(&start);
     multibody.forward_kinematics(&world.bodies, true);
     multibody.update_rigid_bodies(&mut world.bodies, true);
-    Ok(handle)
+    // The friction of a multibody would be as soft as its stops.
+    let friction = (joint.friction > 0.0).then(|| {
+        let motor = between(JointAxesMask::empty()).motor_model(axis, MotorModel::ForceBased);
+        let motor = motor.motor_velocity(axis, 0.0, HOLDS).motor_max_force(axis, joint.friction);
+        world.insert_impulse_joint(ground, body, motor.build())
+    });
+    Ok(Handles { link: handle, friction })
 }
 
 impl Loaded {
     /// The joint of a body of the scene, with its handle.
-    fn jointed(&self, body: usize) -> Option<(&Joint, MultibodyJointHandle)> {
+    fn jointed(&self, body: usize) -> Option<(&Joint, Handles)> {
         let joint = self.scene.free_body(body).joint.as_ref()?;
         Some((joint, self.joints.get(body).copied().flatten()?))
     }
 
     /// Value and speed of the joint of a body.
     pub(super) fn joint_state(&self, body: usize) -> Option<[f64; 2]> {
-        let (joint, handle) = self.jointed(body)?;
-        let (multibody, id) = self.world.multibody_joints.get(handle)?;
+        let (joint, handles) = self.jointed(body)?;
+        let (multibody, id) = self.world.multibody_joints.get(handles.link)?;
         let link = multibody.link(id)?;
         let (_, value) = coordinates(joint.kind);
         Some([link.joint().coords()[axis(joint.kind).1], multibody.joint_velocity(link)[value]])
@@ -103,19 +122,20 @@ impl Loaded {
     /// The joints as they act.
     pub(super) fn joints_read(&self) -> Vec<(usize, Joint)> {
         let read = |body: usize| {
-            let (joint, handle) = self.jointed(body)?;
-            let (multibody, id) = self.world.multibody_joints.get(handle)?;
+            let (joint, handles) = self.jointed(body)?;
+            let (multibody, id) = self.world.multibody_joints.get(handles.link)?;
             let link = multibody.link(id)?;
             let (axis, index) = axis(joint.kind);
             let (_, value) = coordinates(joint.kind);
             let (stiffness, rest) = link.joint.spring(index);
             let limits = link.joint.data.limits(axis)?;
+            let motor = handles.friction.and_then(|motor| self.world.impulse_joints.get(motor)?.data.motor(axis));
             let lead = multibody.couplings().first().map_or(0.0, |coupling| coupling.coeff);
             let acting = Joint {
                 range: [limits.min, limits.max],
                 start: link.joint().coords()[index],
                 damping: multibody.damping()[value],
-                friction: multibody.frictions()[value],
+                friction: motor.map_or(0.0, |motor| motor.max_force),
                 stiffness,
                 rest,
                 pitch_m: lead * std::f64::consts::TAU,

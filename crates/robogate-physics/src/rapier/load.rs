@@ -27,10 +27,10 @@ const JOINTED: Group = Group::GROUP_4;
 /// after a rotation by one degree; until then the contact point moves with the object. With stiffer contacts (150 Hz) a
 /// cylinder between two pads therefore rotates faster and faster. From 60 to 100 Hz it is stable, with a penetration of
 /// 0.1 mm in each pad.
-const CONTACT_HZ: f64 = 80.0;
+pub(super) const CONTACT_HZ: f64 = 80.0;
 
 /// Damping ratio of contacts.
-const CONTACT_DAMPING: f64 = 5.0;
+pub(super) const CONTACT_DAMPING: f64 = 5.0;
 
 /// A scene under construction.
 struct Build<'a> {
@@ -354,7 +354,7 @@ impl Build<'_> {
     fn add_scene_joints(
         &mut self,
         free: &[(RigidBodyHandle, Vec<ColliderHandle>)],
-    ) -> Result<Vec<Option<MultibodyJointHandle>>, Fault> {
+    ) -> Result<Vec<Option<joints::Handles>>, Fault> {
         let scene = self.scene;
         let bodies = scene.free_bodies().zip(free);
         let add = |((object, at), (body, _)): ((&Object, &Isometry3<f64>), &(RigidBodyHandle, _))| {

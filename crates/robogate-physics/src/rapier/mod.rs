@@ -76,7 +76,7 @@ struct Loaded {
     /// The free bodies with their shapes: the object, then the others.
     free: Vec<(RigidBodyHandle, Vec<ColliderHandle>)>,
     /// The joint of each of them, if it is on one.
-    joints: Vec<Option<MultibodyJointHandle>>,
+    joints: Vec<Option<joints::Handles>>,
     /// The joint between each body with a thread and what it has taken up, or the ground.
     threads: Vec<(usize, ImpulseJointHandle)>,
     /// The free body that is the object.

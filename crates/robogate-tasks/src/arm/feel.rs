@@ -43,7 +43,7 @@ const SPIRAL_RADIUS_M: f64 = 0.012;
 /// The tool has found the hole when it sinks by this, in metres.
 const SUNK_M: f64 = 7e-4;
 /// Part of the lateral lag that the command gives up in each control period.
-pub(super) const YIELD_SHARE: f64 = 0.5;
+const YIELD_SHARE: f64 = 0.5;
 /// Control periods without progress before the command circles, and before the part is lifted.
 const CIRCLE_TICKS: u32 = 6;
 const LIFT_TICKS: u32 = 36;
@@ -74,6 +74,8 @@ pub(crate) struct Fit {
     pub(crate) insert_n: f64,
     /// Stiffness of the servos as a multiple of the robot's own.
     pub(crate) stiffness: f64,
+    /// Whether a vertical force moves the tip aside, as far as the axes of the arm are coupled. It always does with a cup.
+    pub(crate) coupled: bool,
 }
 
 /// Motion by touch.
@@ -192,11 +194,12 @@ impl Feel {
         joints
     }
 
-    /// The compliance of the arm at the tool along the axes of the base frame, in m/N. The coupling of the axes counts for a cup
-    /// only: between fingers the head turns, and the tip does not follow it.
+    /// The compliance of the arm at the tool along the axes of the base frame, in m/N. Between fingers the head of a part may turn, and the tip
+    /// does not follow the coupling of the axes.
     fn compliance(&self, chain: &Chain, joints: &[f64]) -> Matrix3<f64> {
         let compliance = compliance(&self.robot, chain, joints, self.fit.stiffness);
-        if self.lateral_n.is_finite() { compliance } else { Matrix3::from_diagonal(&compliance.diagonal()) }
+        let coupled = self.fit.coupled || self.lateral_n.is_finite();
+        if coupled { compliance } else { Matrix3::from_diagonal(&compliance.diagonal()) }
     }
 
     /// The position (x, y) on the spiral around the hole, for a part that the hole catches within this range, in metres.

@@ -14,7 +14,7 @@ use robogate_core::{Action, Command, Observation, Word};
 use robogate_physics::trajectory::{ToolLimit, curved_path, joint_path, straight_path, timed_path};
 use robogate_physics::{Chain, Gripper, GripperCommand, Robot, Unreachable};
 
-use super::feel::{Feel, Fit, YIELD_SHARE};
+use super::feel::{Feel, Fit};
 
 /// A stage ends within this distance of its goal, in metres ...
 const POSITION_TOLERANCE_M: f64 = 0.005;
@@ -133,7 +133,6 @@ impl Script {
             self.find(measured);
             (self.current, self.tick) = (self.current + 1, 0);
         }
-        self.give_way(measured);
         let joints = self.stopped.clone().or_else(|| self.felt(measured)).or_else(|| self.planned());
         let joints = joints.unwrap_or_else(|| measured.to_vec());
         let stage = self.stages.get(self.current);
@@ -171,17 +170,6 @@ impl Script {
         let feel = self.stages.get_mut(self.current)?.feel.as_mut()?;
         let start = self.commanded.as_ref().map_or(measured, |[_, last]| last);
         Some(feel.joints(&self.chain, measured, start))
-    }
-
-    /// A tool that holds an inserted part gives way to lateral forces.
-    fn give_way(&mut self, measured: &[f64]) {
-        let stage = self.stages.get(self.current).filter(|stage| stage.relative);
-        let holds = stage.is_some_and(|stage| stage.gripper == GripperCommand::Close && !stage.settles);
-        if let (true, Some(found), Some([_, last])) = (holds, &mut self.found, &self.commanded) {
-            let tool = |joints: &[f64]| self.chain.tcp_at(joints).translation.vector;
-            let off = YIELD_SHARE * (tool(measured) - tool(last));
-            found.shift += Vector3::new(off.x, off.y, 0.0);
-        }
     }
 
     /// Keeps where a stage by touch ended.

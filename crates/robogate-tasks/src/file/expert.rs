@@ -1,5 +1,7 @@
 //! The expert: a script of skills, planned from what the policy is told.
 
+mod insert;
+
 use std::f64::consts::{FRAC_PI_2, PI};
 use std::sync::Arc;
 
@@ -15,7 +17,7 @@ use super::numbers::{Draws, Frame, Layout, Numbers, Place};
 use super::shapes::heights;
 use super::skills::{Motion, Skill};
 use crate::arm::{
-    CONTROL_PERIOD_S, FREE, Fit, Planner, Script, Stage, compliance, cup_yaw, drives_task, grasp_height, tool_down,
+    CONTROL_PERIOD_S, FREE, Planner, Script, Stage, compliance, cup_yaw, drives_task, grasp_height, tool_down,
 };
 
 /// Acceleration limit of a tool that holds or pushes something, in m/s^2.
@@ -24,10 +26,6 @@ const CAREFUL_M_S2: f64 = 0.8;
 const CAREFUL_M_S: f64 = 0.1;
 /// Speed of a tool that turns, in rad/s, if the file states none.
 const TWIST_RAD_S: f64 = 1.0;
-/// Largest force of the search for a hole, in newtons.
-const SEARCH_N: f64 = 5.0;
-/// The range within which a hole catches a part, in metres, if the file states none.
-const CATCH_M: f64 = 1e-3;
 /// Distance of the tool from the axis of a hinge that counts as a way, in metres per radian.
 const LEVER_M: f64 = 0.05;
 
@@ -548,35 +546,6 @@ impl<'a> Plan<'a> {
         // A wrist that is turned already may not turn on to the most comfortable pose.
         let first = self.to(phase, &poses[chosen], limit);
         poses.iter().fold(first, |done, pose| done.or_else(|_| self.to(phase, pose, limit)))
-    }
-
-    /// Brings the part in the hand by touch into a hole, without turning it.
-    fn insert(
-        &mut self,
-        phase: Word,
-        place: &Place,
-        [depth, force]: [f64; 2],
-        catch: Option<&Value>,
-    ) -> Result<(), Unreachable> {
-        let end = self.cell.at(place, &self.frame(place.on)).translation.vector;
-        let down = self.tool().rotation;
-        let (offset, low) = self.in_hand.map_or((Vector3::zeros(), 0.0), |(of, in_tool)| {
-            (down * in_tool.translation.vector, heights(self.cell.numbers.parts[of].shapes.iter())[0])
-        });
-        let goal = end - offset;
-        let fit = Fit {
-            clearance_m: catch.map_or(CATCH_M, |catch| self.number(catch)),
-            chamfer_m: 0.0,
-            hole: Vector3::new(goal.x, goal.y, end.z + low + depth),
-            depth_m: depth,
-            tool_m: goal.z - end.z - low,
-            down,
-            search_n: force.min(SEARCH_N),
-            insert_n: force,
-            stiffness: 1.0,
-        };
-        let pose = Isometry3::from_parts(Translation3::from(goal), down);
-        self.planner.feel(phase, pose, self.careful(None), self.gripper, fit)
     }
 
     /// Moves with a part along its joint.

@@ -132,6 +132,7 @@ impl Policy for Scripted {
                 search_n: SEARCH_N,
                 insert_n: INSERT_N,
                 stiffness: briefing.arm_stiffness,
+                coupled: false,
             };
             Feel::new(&self.robot, fit)
         });
