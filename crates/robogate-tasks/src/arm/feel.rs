@@ -43,7 +43,7 @@ const SPIRAL_RADIUS_M: f64 = 0.012;
 /// The tool has found the hole when it sinks by this, in metres.
 const SUNK_M: f64 = 7e-4;
 /// Part of the lateral lag that the command gives up in each control period.
-const YIELD_SHARE: f64 = 0.5;
+pub(super) const YIELD_SHARE: f64 = 0.5;
 /// Control periods without progress before the command circles, and before the part is lifted.
 const CIRCLE_TICKS: u32 = 6;
 const LIFT_TICKS: u32 = 36;
@@ -192,6 +192,12 @@ impl Feel {
         let joints = chain.inverse(&goal, &joints, &self.robot.settings.arm.home_rad).unwrap_or(joints);
         self.commanded = Some(([last[1], at], joints.clone()));
         joints
+    }
+
+    /// How far a vertical force moves the tool along the axes of the base frame, as multiples of its vertical motion.
+    pub(super) fn aside(&self, chain: &Chain, joints: &[f64]) -> Vector3<f64> {
+        let vertical = compliance(&self.robot, chain, joints, self.fit.stiffness).column(2).into_owned();
+        vertical / vertical.z
     }
 
     /// The compliance of the arm at the tool along the axes of the base frame, in m/N. Between fingers the head of a part may turn, and the tip

@@ -14,7 +14,7 @@ use robogate_core::{Action, Command, Observation, Word};
 use robogate_physics::trajectory::{ToolLimit, curved_path, joint_path, straight_path, timed_path};
 use robogate_physics::{Chain, Gripper, GripperCommand, Robot, Unreachable};
 
-use super::feel::{Feel, Fit};
+use super::feel::{Feel, Fit, YIELD_SHARE};
 
 /// A stage ends within this distance of its goal, in metres ...
 const POSITION_TOLERANCE_M: f64 = 0.005;
@@ -34,6 +34,8 @@ const IDLE_TICKS: usize = 10;
 const FADE: f64 = 0.8;
 /// ... until it is below this, in metres.
 const FADED_M: f64 = 1e-5;
+/// A tool that holds an inserted part gives way by at most this, in metres.
+const MOST_GIVEN_M: f64 = 0.005;
 /// Gap between fingertips and table in the grasp, in metres.
 const TIP_ROOM_M: f64 = 0.004;
 /// Gap between palm and part in the grasp, in metres.
@@ -77,6 +79,10 @@ struct Found {
     shift: Vector3<f64>,
     /// From the commanded to the measured one, in metres: the tool presses.
     lag: Vector3<f64>,
+    /// How far a vertical force moves the tool along x, y and z, as multiples of z.
+    aside: Vector3<f64>,
+    /// How far the tool has given way to lateral forces since then, in metres.
+    given: Vector3<f64>,
 }
 
 /// A plan and the progress in it.
@@ -133,6 +139,7 @@ impl Script {
             self.find(measured);
             (self.current, self.tick) = (self.current + 1, 0);
         }
+        self.give_way(measured);
         let joints = self.stopped.clone().or_else(|| self.felt(measured)).or_else(|| self.planned());
         let joints = joints.unwrap_or_else(|| measured.to_vec());
         let stage = self.stages.get(self.current);
@@ -172,12 +179,32 @@ impl Script {
         Some(feel.joints(&self.chain, measured, start))
     }
 
+    /// A tool that holds an inserted part gives way to lateral forces: where the part turns, its axis is not that of the tool.
+    fn give_way(&mut self, measured: &[f64]) {
+        let stage = self.stages.get(self.current).filter(|stage| stage.relative);
+        let holds = stage.is_some_and(|stage| stage.gripper == GripperCommand::Close && !stage.settles);
+        if let (true, Some(found), Some([_, last])) = (holds, &mut self.found, &self.commanded) {
+            let tool = |joints: &[f64]| self.chain.tcp_at(joints).translation.vector;
+            let off = tool(measured) - tool(last);
+            let aside = YIELD_SHARE * (off - found.aside * off.z);
+            let given = (found.given + Vector3::new(aside.x, aside.y, 0.0)).cap_magnitude(MOST_GIVEN_M);
+            found.shift += given - found.given;
+            found.given = given;
+        }
+    }
+
     /// Keeps where a stage by touch ended.
     fn find(&mut self, measured: &[f64]) {
         let Some(stage) = self.stages.get(self.current) else { return };
-        if let (Some(at), Some(end)) = (stage.feel.as_ref().and_then(|feel| feel.at()), stage.path.last()) {
+        let Some(feel) = &stage.feel else { return };
+        if let (Some(at), Some(end)) = (feel.at(), stage.path.last()) {
             let tool = |joints: &[f64]| self.chain.tcp_at(joints).translation.vector;
-            self.found = Some(Found { shift: at - tool(end), lag: tool(measured) - at });
+            self.found = Some(Found {
+                shift: at - tool(end),
+                lag: tool(measured) - at,
+                aside: feel.aside(&self.chain, measured),
+                given: Vector3::zeros(),
+            });
         }
     }
 
