@@ -61,13 +61,9 @@ category = "nominal"
 description = "Nominal values."
 scenarios = [{ id = "nominal-1", encoder_bias_rad = 0.002 }]
 TOML
-for task in ${FILES-drawer button door lid palletising machine_tending kitting bin_picking pipe_clamp}; do
+for task in ${FILES-drawer button door lid palletising machine_tending kitting bin_picking pipe_clamp peg_board screw_start}; do
     for robot in franka ur5e; do
         for engine in mujoco rapier; do
-            # Rapier does not simulate bodies on joints. Three tasks without them compare the engines.
-            if [ "$engine" = rapier ] && ! [[ $task =~ ^(lid|palletising|pipe_clamp)$ ]]; then
-                continue
-            fi
             run "$out/file-$task-$robot-$engine" --task "assets/tasks/$task" --robot "$robot" --engine "$engine" \
                 --suite "$out/nominal.toml" --rounds 40
             runs+=("file-$task-$robot-$engine")

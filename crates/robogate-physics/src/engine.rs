@@ -73,6 +73,13 @@ pub trait Engine: Any {
     /// Detaches the object from the cup.
     fn detach(&mut self);
 
+    /// Joins a body on a screw and a free body of the scene at their current relative pose, by a stiff joint. [`Engine::load`]
+    /// separates them. [`crate::Thread`] says when.
+    fn take_up(&mut self, _screw: usize, _body: usize) {}
+
+    /// Separates a body on a screw and the body that it has taken up.
+    fn let_go(&mut self, _screw: usize) {}
+
     /// The wrench of the cup on the object in the last step: joint force and contact force together. `None` while
     /// they are detached.
     fn cup_load(&self) -> Option<Wrench>;
@@ -195,6 +202,14 @@ impl<E: Engine + ?Sized> Engine for Box<E> {
 
     fn detach(&mut self) {
         (**self).detach();
+    }
+
+    fn take_up(&mut self, screw: usize, body: usize) {
+        (**self).take_up(screw, body);
+    }
+
+    fn let_go(&mut self, screw: usize) {
+        (**self).let_go(screw);
     }
 
     fn cup_load(&self) -> Option<Wrench> {

@@ -50,6 +50,7 @@ mod scene;
 mod servo;
 mod steering;
 pub mod suction;
+mod thread;
 pub mod trajectory;
 mod unrest;
 mod visual;
@@ -68,7 +69,7 @@ pub use gripper_command::GripperCommand;
 pub use hull::{Hull, MOST_PIECES, Pieces};
 #[cfg(feature = "mujoco")]
 pub use inspect::{Inspection, Measured, inspect};
-pub use joint::{Joint, JointKind};
+pub use joint::{Joint, JointKind, Thread};
 pub use kinematics::{Chain, ChainJoint, Unreachable};
 pub use mass::MassProperties;
 pub use mesh::{Bulk, Mesh};

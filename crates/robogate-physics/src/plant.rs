@@ -6,6 +6,7 @@ use nalgebra::{Isometry3, Vector3};
 use robogate_core::{Fault, FaultKind};
 
 use crate::suction::{self, Change, Suction};
+use crate::thread::Threads;
 use crate::unrest::Unrest;
 use crate::{Engine, Gripper, GripperCommand, JointTargets, Part, Scene, Servo, SuctionCup, SuctionLaw, Touches};
 
@@ -73,6 +74,7 @@ struct Drives {
     selected: usize,
     /// Grip force of this scene's unit, in newtons.
     grip_force_n: f64,
+    threads: Threads,
     unrest: Unrest,
 }
 
@@ -168,6 +170,7 @@ impl<E: Engine> Plant<E> {
             frictions: scene.free_bodies().map(|(object, _)| scene.friction_of(object)).collect(),
             selected: 0,
             grip_force_n,
+            threads: Threads::of(scene),
             unrest: Unrest::default(),
         });
         Ok(())
@@ -234,6 +237,7 @@ impl<E: Engine> Plant<E> {
                     None => {}
                 }
             }
+            drives.threads.step(&mut self.engine);
             let holding = drives.suction.as_ref().is_some_and(Suction::holding);
             observe(&self.engine, &StepView::of(&self.engine, holding, fraction));
         }

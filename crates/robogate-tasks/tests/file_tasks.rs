@@ -17,7 +17,7 @@ use robogate_tasks::{ArmDeclaration, ArmEnvironment, ArmTask, Rig};
 use common::{EngineKind, scenario};
 
 /// The shipped tasks with the robots that solve them.
-const SHIPPED: [(&str, &[&str]); 9] = [
+const SHIPPED: [(&str, &[&str]); 11] = [
     ("drawer", &["franka", "ur5e", "ur10e"]),
     ("button", &["franka", "ur5e", "ur10e"]),
     ("door", &["franka", "ur5e", "ur10e"]),
@@ -27,6 +27,8 @@ const SHIPPED: [(&str, &[&str]); 9] = [
     ("kitting", &["franka", "ur5e"]),
     ("bin_picking", &["franka", "ur5e"]),
     ("pipe_clamp", &["franka", "ur5e"]),
+    ("peg_board", &["franka", "ur5e"]),
+    ("screw_start", &["franka", "ur5e"]),
 ];
 
 fn text(task: &str) -> String {
@@ -137,23 +139,6 @@ fn doing_nothing_is_a_timeout() {
         assert_eq!(episode.outcome, Outcome::Failure(expected), "{name}");
         assert_eq!(episode.measures.get("stages"), Some(0.0), "{name}");
     }
-}
-
-/// Rapier simulates free parts. A body on a joint is refused with the reason.
-#[cfg(feature = "rapier")]
-#[test]
-fn rapier_runs_tasks_without_joints() {
-    let on = |name: &str| {
-        let cell = EngineKind::Rapier.robot("franka");
-        let task = shipped(name);
-        let mut environment = task.on(cell.engine(), Rig { picture_px: [16; 2], ..Rig::default() }).unwrap();
-        let mut expert = expert(&task, &environment, "franka");
-        rollout(&mut environment, &mut *expert, &scenario(0, &[]))
-    };
-    let lid = on("lid");
-    assert_eq!((&lid.outcome, lid.measures.get("stages")), (&Outcome::Success, Some(2.0)));
-    let Outcome::Invalid(fault) = on("drawer").outcome else { panic!("the drawer runs") };
-    assert!(fault.to_string().contains("Use --engine mujoco"), "{fault}");
 }
 
 #[test]

@@ -21,7 +21,7 @@ use std::sync::{Arc, Mutex, Once};
 use mujoco_loader::{Library, LoadError};
 use mujoco_rs::prelude::*;
 use mujoco_rs::wrappers::mj_logging::{log_config, set_log_config};
-use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use robogate_core::{ContactPoint, Fault, FaultKind, Region};
 
 use self::damping::Strong;
@@ -32,8 +32,8 @@ use crate::finger_motion::DriveReading;
 use crate::friction::Friction;
 use crate::robot_model::Built;
 use crate::{
-    BELLOWS_JOINT, Chain, Engine, EngineBuild, FingerMotion, FixtureRead, FreeBodyRead, JointTargets, Motion,
-    Primitive, Readback, Robot, RobotError, Scene, Side, Touches, Wrench, isometry, robot_model,
+    BELLOWS_JOINT, Chain, Engine, EngineBuild, FingerMotion, FixtureRead, FreeBodyRead, JointKind, JointTargets,
+    Motion, Primitive, Readback, Robot, RobotError, Scene, Side, Touches, Wrench, isometry, robot_model,
 };
 
 /// Contact masks (`contype`, `conaffinity`). The robot collides with object and fixtures, the object with fixtures. At first
@@ -359,6 +359,9 @@ impl Engine for MujocoEngine {
         for (free, (object, _)) in free.iter().zip(scene.free_bodies()) {
             if let Some(joint) = &object.joint {
                 data.qpos_mut()[free.qpos] = joint.start;
+                if joint.kind == JointKind::Screw {
+                    data.qpos_mut()[free.qpos + 1] = joint.lead_m_rad() * joint.start;
+                }
             }
         }
         for ((address, _), q) in arm.iter().zip(joints) {
@@ -566,17 +569,8 @@ impl Engine for MujocoEngine {
             return;
         };
         let cup = isometry(&loaded.data.xpos()[weld.cup_body], &loaded.data.xquat()[weld.cup_body]);
-        let rotation = cup.rotation.inverse() * object.rotation;
-        // The centre of the lip in the object's and in the cup's frame.
-        let lip = Point3::from(tcp.translation.vector);
-        let (in_object, in_cup) = (object.inverse_transform_point(&lip), cup.inverse_transform_point(&lip));
-        // SAFETY: only numbers of an equality of this model change; no size and no address depends on them.
-        #[expect(unsafe_code, reason = "the binding has no safe setter")]
-        let numbers = unsafe { &mut loaded.data.model_mut().eq_data_mut()[weld.equality] };
-        numbers[..3].copy_from_slice(in_object.coords.as_slice());
-        numbers[3..6].copy_from_slice(in_cup.coords.as_slice());
-        numbers[6..10].copy_from_slice(&wxyz(&rotation));
-        loaded.data.eq_active_mut()[weld.equality] = true;
+        // They are joined at the centre of the lip.
+        loaded.join(weld.equality, [&cup, &object], &tcp.translation.vector);
     }
 
     fn detach(&mut self) {
@@ -584,6 +578,21 @@ impl Engine for MujocoEngine {
             && let Some(weld) = loaded.weld()
         {
             loaded.data.eq_active_mut()[weld.equality] = false;
+        }
+    }
+
+    fn take_up(&mut self, screw: usize, body: usize) {
+        let poses = [self.free_body(screw), self.free_body(body)];
+        if let Some(loaded) = self.loaded.as_mut()
+            && let Some(weld) = loaded.thread(screw, true)
+        {
+            loaded.join(weld, [&poses[0], &poses[1]], &poses[0].translation.vector);
+        }
+    }
+
+    fn let_go(&mut self, screw: usize) {
+        if let Some(loaded) = self.loaded.as_mut() {
+            loaded.thread(screw, false);
         }
     }
 

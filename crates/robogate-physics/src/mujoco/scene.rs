@@ -87,20 +87,33 @@ impl MujocoEngine {
             }
         }
         let cup = self.robot.settings.gripper.cup();
-        for (index, cup) in cup.into_iter().flat_map(|cup| (0..=scene.others.len()).map(move |index| (index, cup))) {
-            let weld = spec.add_equality().with_name(&weld_name(index));
-            weld.set_type(MjtEq::mjEQ_WELD);
-            weld.set_objtype(MjtObjBase::mjOBJ_BODY);
-            weld.set_name1(&cup.cup_body);
-            weld.set_name2(&free_name(index));
-            weld.set_active(false);
-            // Without these numbers MuJoCo's compiler would compute reference poses from the initial state.
-            weld.data_mut()[..11].copy_from_slice(&[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]);
-            weld.solref_mut()[..2].copy_from_slice(&[contact::TIME_CONSTANT_S, 1.0]);
-            weld.solimp_mut()[..3].copy_from_slice(&contact::IMPEDANCE);
+        for (index, (object, _)) in scene.free_bodies().enumerate() {
+            if let Some(cup) = cup {
+                add_weld(spec, &weld_name(index), [&cup.cup_body, &free_name(index)]);
+            }
+            if let Some(joint) = &object.joint {
+                joints::couple(spec, &free_name(index), joint);
+                if let Some(thread) = joint.thread {
+                    add_weld(spec, &thread_name(index), [&free_name(index), &free_name(thread.body)]);
+                }
+            }
         }
         Ok(())
     }
+}
+
+/// Adds a weld between two bodies, which is switched on and off.
+fn add_weld(spec: &mut MjSpec, name: &str, [first, second]: [&str; 2]) {
+    let weld = spec.add_equality().with_name(name);
+    weld.set_type(MjtEq::mjEQ_WELD);
+    weld.set_objtype(MjtObjBase::mjOBJ_BODY);
+    weld.set_name1(first);
+    weld.set_name2(second);
+    weld.set_active(false);
+    // Without these numbers MuJoCo's compiler would compute reference poses from the initial state.
+    weld.data_mut()[..11].copy_from_slice(&[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]);
+    weld.solref_mut()[..2].copy_from_slice(&[contact::TIME_CONSTANT_S, 1.0]);
+    weld.solimp_mut()[..3].copy_from_slice(&contact::IMPEDANCE);
 }
 
 impl MujocoEngine {
@@ -181,6 +194,11 @@ pub(super) fn weld_name(index: usize) -> String {
         0 => format!("{PREFIX}cup"),
         other => format!("{PREFIX}cup@{other}"),
     }
+}
+
+/// Name of the weld between the body on a screw and what it takes up, in the compiled model.
+pub(super) fn thread_name(screw: usize) -> String {
+    format!("{}/thread", free_name(screw))
 }
 
 /// Adds the piece of each geom that is one, as a mesh with the name of the geom. The compiler finds its hull.

@@ -11,7 +11,7 @@ use rapier3d_f64::prelude::{CoefficientCombineRule, PhysicsWorld};
 use robogate_core::{Fault, FaultKind, Region};
 
 use super::convert::{mass_properties, pose, primitive, solid};
-use super::{Kind, Loaded, RapierEngine, SUBSTEPS};
+use super::{Kind, Loaded, RapierEngine, SUBSTEPS, joints};
 use crate::contact_sums::ContactSums;
 use crate::description::{Description, Link};
 use crate::region::region;
@@ -21,15 +21,17 @@ use crate::{BELLOWS_JOINT, Object, Primitive, Scene, Touches};
 const ROBOT: Group = Group::GROUP_1;
 const OBJECT: Group = Group::GROUP_2;
 const FIXTURE: Group = Group::GROUP_3;
+/// A body on a joint collides with the robot and with free bodies: its joint guides it through its fixtures.
+const JOINTED: Group = Group::GROUP_4;
 
 /// Natural frequency with which a contact separates penetrating shapes, in Hz. Rapier detects a contact again only
 /// after a rotation by one degree; until then the contact point moves with the object. With stiffer contacts (150 Hz) a
 /// cylinder between two pads therefore rotates faster and faster. From 60 to 100 Hz it is stable, with a penetration of
 /// 0.1 mm in each pad.
-const CONTACT_HZ: f64 = 80.0;
+pub(super) const CONTACT_HZ: f64 = 80.0;
 
 /// Damping ratio of contacts.
-const CONTACT_DAMPING: f64 = 5.0;
+pub(super) const CONTACT_DAMPING: f64 = 5.0;
 
 /// A scene under construction.
 struct Build<'a> {
@@ -48,12 +50,6 @@ struct Build<'a> {
 impl RapierEngine {
     /// Builds robot and scene with the arm at `joints` (rad) and the gripper open.
     pub(super) fn build_scene(&self, scene: &Scene, joints: &[f64]) -> Result<Loaded, Fault> {
-        if scene.free_bodies().any(|(object, _)| object.joint.is_some()) {
-            return Err(Fault::new(
-                FaultKind::Setup,
-                "the scene has a body on a joint, which the engine rapier does not simulate. Use --engine mujoco",
-            ));
-        }
         scene.pad_friction()?;
         let mut build = Build {
             engine: self,
@@ -74,6 +70,7 @@ impl RapierEngine {
             // Set before the first step, because the read-back happens before it.
             body.recompute_mass_properties_from_colliders(&build.world.colliders);
         }
+        let joints = build.add_scene_joints(&free)?;
         // Colliders follow their bodies during a step, but no step has run yet.
         build.world.bodies.propagate_modified_body_positions_to_colliders(&mut build.world.colliders);
         let settings = &self.robot.settings;
@@ -84,6 +81,8 @@ impl RapierEngine {
             bellows: self.description.link_of(BELLOWS_JOINT).and_then(|link| build.joints[link]),
             tcp: build.links[self.description.tcp.0],
             free,
+            joints,
+            threads: Vec::new(),
             selected: 0,
             joined: None,
             cup_load: None,
@@ -126,7 +125,7 @@ impl RapierEngine {
     }
 }
 
-fn setup(why: String) -> Fault {
+pub(super) fn setup(why: String) -> Fault {
     Fault::new(FaultKind::Setup, why)
 }
 
@@ -177,7 +176,7 @@ impl Build<'_> {
                     .density(0.0)
                     .friction(friction)
                     .friction_combine_rule(rule)
-                    .collision_groups(groups(ROBOT, OBJECT | FIXTURE));
+                    .collision_groups(groups(ROBOT, OBJECT | FIXTURE | JOINTED));
                 let kind = Kind::Robot { body, finger, fixed: link.joint.is_none() };
                 self.add_collider(collider, handle, kind);
             }
@@ -353,6 +352,19 @@ impl Build<'_> {
         scene.free_bodies().enumerate().map(|(index, (object, at))| self.add_free_body(index, object, at)).collect()
     }
 
+    /// Adds the joints of the bodies that are on one.
+    fn add_scene_joints(
+        &mut self,
+        free: &[(RigidBodyHandle, Vec<ColliderHandle>)],
+    ) -> Result<Vec<Option<joints::Handles>>, Fault> {
+        let scene = self.scene;
+        let bodies = scene.free_bodies().zip(free);
+        let add = |((object, at), (body, _)): ((&Object, &Isometry3<f64>), &(RigidBodyHandle, _))| {
+            object.joint.as_ref().map(|joint| joints::add(&mut self.world, *body, at, joint)).transpose()
+        };
+        bodies.map(add).collect()
+    }
+
     /// Adds a free body and its shapes. The object's friction coefficient applies to all of its contacts.
     fn add_free_body(
         &mut self,
@@ -377,7 +389,11 @@ impl Build<'_> {
         );
         let mut shapes = Vec::new();
         // Free bodies collide with each other.
-        let meets = if self.scene.others.is_empty() { ROBOT | FIXTURE } else { ROBOT | FIXTURE | OBJECT };
+        let (member, meets) = match object.joint {
+            Some(_) => (JOINTED, ROBOT | OBJECT),
+            None if self.scene.others.is_empty() => (OBJECT, ROBOT | FIXTURE),
+            None => (OBJECT, ROBOT | FIXTURE | OBJECT | JOINTED),
+        };
         for part in &object.parts {
             let (shared, at) = solid(&primitive(&part.primitive), &part.pose).map_err(setup)?;
             let collider = ColliderBuilder::new(shared)
@@ -385,7 +401,7 @@ impl Build<'_> {
                 .density(0.0)
                 .friction(self.scene.friction_of(object))
                 .friction_combine_rule(CoefficientCombineRule::Max)
-                .collision_groups(groups(OBJECT, meets));
+                .collision_groups(groups(member, meets));
             shapes.push(self.add_collider(collider, body, Kind::Object(index)));
         }
         Ok((body, shapes))

@@ -7,6 +7,7 @@
 
 mod contacts;
 mod convert;
+mod joints;
 mod load;
 
 use nalgebra::{Isometry3, Vector3};
@@ -75,6 +76,10 @@ struct Loaded {
     tcp: RigidBodyHandle,
     /// The free bodies with their shapes: the object, then the others.
     free: Vec<(RigidBodyHandle, Vec<ColliderHandle>)>,
+    /// The joint of each of them, if it is on one.
+    joints: Vec<Option<joints::Handles>>,
+    /// The joint between each body with a thread and what it has taken up, or the ground.
+    threads: Vec<(usize, ImpulseJointHandle)>,
     /// The free body that is the object.
     selected: usize,
     /// The joint between cup and object, while they are attached.
@@ -147,6 +152,7 @@ impl Engine for RapierEngine {
         };
         loaded.drive(&settings.arm, jaw, &targets);
         loaded.read_touches_at_start();
+        loaded.lock_threads();
         self.loaded = Some(loaded);
         Ok(())
     }
@@ -195,7 +201,7 @@ impl Engine for RapierEngine {
             object,
             others: (1..loaded.free.len()).map(free).collect(),
             fixtures,
-            joints: Vec::new(),
+            joints: loaded.joints_read(),
         })
     }
 
@@ -272,6 +278,22 @@ impl Engine for RapierEngine {
             loaded.world.remove_impulse_joint(joint);
             loaded.cup_load = None;
         }
+    }
+
+    fn take_up(&mut self, screw: usize, body: usize) {
+        if let Some(loaded) = self.loaded.as_mut() {
+            loaded.take_up(screw, body);
+        }
+    }
+
+    fn let_go(&mut self, screw: usize) {
+        if let Some(loaded) = self.loaded.as_mut() {
+            loaded.let_go(screw);
+        }
+    }
+
+    fn body_joint(&self, body: usize) -> Option<[f64; 2]> {
+        self.loaded().joint_state(body)
     }
 
     fn cup_load(&self) -> Option<Wrench> {

@@ -7,6 +7,7 @@ mod cameras;
 pub mod claims;
 mod environment;
 mod feasibility;
+mod feel;
 mod film;
 mod forces;
 mod foresight;
@@ -33,6 +34,7 @@ pub(crate) use cameras::{camera_specs, posture, render};
 pub use environment::{ArmEnvironment, CONTROL_PERIOD_S, Rig};
 pub(crate) use environment::{GRIP_THRESHOLD_M, cameras, show};
 pub(crate) use feasibility::{Load, cannot_carry, out_of_reach};
+pub(crate) use feel::{Feel, Feeling, Fit, MOMENT_SHARE, SEATED_M, search_time};
 pub(crate) use film::Film;
 pub(crate) use foresight::{
     GAP_MARGIN, LIP_MARGIN, Memo, OPENING_CLEARANCE, PRESS_MARGIN, Posture, bias_draws, compliance, components, draw,

@@ -3,6 +3,9 @@
 //! A stage ends when its path has been commanded, the measured tool pose is within 5 mm and 0.05 rad of the end, and the
 //! gripper is at rest if it moves in this stage. A tool that is pushed more than 10 mm off its path stops there and
 //! waits, like a robot with a contact guard.
+//!
+//! A stage by touch ([`Feel`]) ends when the part is in the hole. Where that is may differ from the plan: stages that are relative to it
+//! begin where it ended.
 
 use std::f64::consts::PI;
 
@@ -10,6 +13,8 @@ use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use robogate_core::{Action, Command, Observation, Word};
 use robogate_physics::trajectory::{ToolLimit, curved_path, joint_path, straight_path, timed_path};
 use robogate_physics::{Chain, Gripper, GripperCommand, Robot, Unreachable};
+
+use super::feel::{Feel, Fit, YIELD_SHARE};
 
 /// A stage ends within this distance of its goal, in metres ...
 const POSITION_TOLERANCE_M: f64 = 0.005;
@@ -25,6 +30,12 @@ const SETTLE_TICKS: usize = 4;
 const GRIP_TICKS: usize = 20;
 /// The last stage has run out this many control periods after its end.
 const IDLE_TICKS: usize = 10;
+/// In each control period a tool that leaves the place it found keeps this part of its distance from the path ...
+const FADE: f64 = 0.8;
+/// ... until it is below this, in metres.
+const FADED_M: f64 = 1e-5;
+/// A tool that holds an inserted part gives way by at most this, in metres.
+const MOST_GIVEN_M: f64 = 0.005;
 /// Gap between fingertips and table in the grasp, in metres.
 const TIP_ROOM_M: f64 = 0.004;
 /// Gap between palm and part in the grasp, in metres.
@@ -48,6 +59,30 @@ pub(crate) struct Stage {
     /// The control period of the episode in which it begins, if it keeps time with something that moves. Its path then
     /// follows the clock, and a stage of this kind that follows another one begins on time.
     pub(crate) clock: Option<usize>,
+    /// Motion by touch, in place of the path. The path is the one without contact.
+    pub(crate) feel: Option<Box<Feel>>,
+    /// Whether it is relative to where the last stage by touch ended.
+    pub(crate) relative: bool,
+}
+
+impl Stage {
+    /// A stage that follows a path.
+    pub(crate) fn of(phase: Word, path: Vec<Vec<f64>>, gripper: GripperCommand) -> Self {
+        Self { phase, path, gripper, settles: false, clock: None, feel: None, relative: false }
+    }
+}
+
+/// Where a stage by touch ended.
+#[derive(Debug, Clone, Copy)]
+struct Found {
+    /// From the planned to the commanded position of the tool, in metres.
+    shift: Vector3<f64>,
+    /// From the commanded to the measured one, in metres: the tool presses.
+    lag: Vector3<f64>,
+    /// How far a vertical force moves the tool along x, y and z, as multiples of z.
+    aside: Vector3<f64>,
+    /// How far the tool has given way to lateral forces since then, in metres.
+    given: Vector3<f64>,
 }
 
 /// A plan and the progress in it.
@@ -66,13 +101,25 @@ pub(crate) struct Script {
     rest: usize,
     /// Number of actions so far.
     now: usize,
+    found: Option<Found>,
 }
 
 impl Script {
     /// A script of these stages, for an arm with these kinematics. Without a stage it commands nothing but the measured
     /// joint positions.
     pub(crate) fn new(chain: Chain, stages: Vec<Stage>) -> Self {
-        Self { chain, stages, current: 0, tick: 0, last_opening: None, commanded: None, stopped: None, rest: 0, now: 0 }
+        Self {
+            chain,
+            stages,
+            current: 0,
+            tick: 0,
+            last_opening: None,
+            commanded: None,
+            stopped: None,
+            rest: 0,
+            now: 0,
+            found: None,
+        }
     }
 
     /// The next action.
@@ -89,14 +136,13 @@ impl Script {
             self.stopped.get_or_insert_with(|| measured.to_vec());
         }
         if self.stopped.is_none() && self.stage_is_done(measured) {
+            self.find(measured);
             (self.current, self.tick) = (self.current + 1, 0);
         }
+        self.give_way(measured);
+        let joints = self.stopped.clone().or_else(|| self.felt(measured)).or_else(|| self.planned());
+        let joints = joints.unwrap_or_else(|| measured.to_vec());
         let stage = self.stages.get(self.current);
-        let planned = stage.and_then(|stage| {
-            let tick = stage.clock.map_or(self.tick, |clock| self.now.saturating_sub(clock));
-            stage.path.get(tick.min(stage.path.len().saturating_sub(1)))
-        });
-        let joints = self.stopped.as_ref().or(planned).map_or_else(|| measured.to_vec(), Clone::clone);
         self.tick += 1;
         self.now += 1;
         let last = self.commanded.take().map_or_else(|| measured.to_vec(), |[_, last]| last);
@@ -106,6 +152,65 @@ impl Script {
             gripper: Some(stage.map_or(GripperCommand::Open, |stage| stage.gripper).number()),
             phase: stage.map(|stage| stage.phase),
         }
+    }
+
+    /// The next joint positions of the path.
+    fn planned(&mut self) -> Option<Vec<f64>> {
+        let stage = self.stages.get(self.current)?;
+        let tick = stage.clock.map_or(self.tick, |clock| self.now.saturating_sub(clock));
+        let planned = stage.path.get(tick.min(stage.path.len().saturating_sub(1)))?.clone();
+        if let Some(found) = self.found.as_mut().filter(|_| !stage.relative) {
+            // The tool goes over to the path in a few control periods.
+            found.shift *= FADE;
+            if found.shift.norm() < FADED_M {
+                self.found = None;
+            }
+        }
+        let Some(Found { shift, .. }) = self.found else { return Some(planned) };
+        let mut goal = self.chain.tcp_at(&planned);
+        goal.translation.vector += shift;
+        Some(self.chain.inverse(&goal, &planned, &planned).unwrap_or(planned))
+    }
+
+    /// The next joint positions of a stage by touch.
+    fn felt(&mut self, measured: &[f64]) -> Option<Vec<f64>> {
+        let feel = self.stages.get_mut(self.current)?.feel.as_mut()?;
+        let start = self.commanded.as_ref().map_or(measured, |[_, last]| last);
+        Some(feel.joints(&self.chain, measured, start))
+    }
+
+    /// A tool that holds an inserted part gives way to lateral forces: where the part turns, its axis is not that of the tool.
+    fn give_way(&mut self, measured: &[f64]) {
+        let stage = self.stages.get(self.current).filter(|stage| stage.relative);
+        let holds = stage.is_some_and(|stage| stage.gripper == GripperCommand::Close && !stage.settles);
+        if let (true, Some(found), Some([_, last])) = (holds, &mut self.found, &self.commanded) {
+            let tool = |joints: &[f64]| self.chain.tcp_at(joints).translation.vector;
+            let off = tool(measured) - tool(last);
+            let aside = YIELD_SHARE * (off - found.aside * off.z);
+            let given = (found.given + Vector3::new(aside.x, aside.y, 0.0)).cap_magnitude(MOST_GIVEN_M);
+            found.shift += given - found.given;
+            found.given = given;
+        }
+    }
+
+    /// Keeps where a stage by touch ended.
+    fn find(&mut self, measured: &[f64]) {
+        let Some(stage) = self.stages.get(self.current) else { return };
+        let Some(feel) = &stage.feel else { return };
+        if let (Some(at), Some(end)) = (feel.at(), stage.path.last()) {
+            let tool = |joints: &[f64]| self.chain.tcp_at(joints).translation.vector;
+            self.found = Some(Found {
+                shift: at - tool(end),
+                lag: tool(measured) - at,
+                aside: feel.aside(&self.chain, measured),
+                given: Vector3::zeros(),
+            });
+        }
+    }
+
+    /// Distance of the measured tool (m) from where it should be. A tool that presses lags.
+    fn distance(&self, off: Vector3<f64>) -> f64 {
+        self.found.map_or(off.norm(), |found| off.norm().min((off - found.lag).norm()))
     }
 
     /// Whether the last stage has ended and the arm has settled there.
@@ -141,9 +246,13 @@ impl Script {
         let Some(end) = stage.path.last().filter(|_| stage.clock.is_none_or(|clock| self.now >= clock)) else {
             return false;
         };
-        let off = self.chain.tcp_at(end).inverse() * self.chain.tcp_at(measured);
-        let there =
-            off.translation.vector.norm() <= POSITION_TOLERANCE_M && off.rotation.angle() <= ANGLE_TOLERANCE_RAD;
+        if let Some(feel) = &stage.feel {
+            return feel.is_done();
+        }
+        let (end, tool) = (self.chain.tcp_at(end), self.chain.tcp_at(measured));
+        let shift = self.found.map_or_else(Vector3::zeros, |found| found.shift);
+        let off = self.distance(tool.translation.vector - end.translation.vector - shift);
+        let there = off <= POSITION_TOLERANCE_M && end.rotation.angle_to(&tool.rotation) <= ANGLE_TOLERANCE_RAD;
         self.tick >= stage.path.len() && there && (!stage.settles || self.rest.min(self.tick) >= SETTLE_TICKS)
     }
 
@@ -151,9 +260,13 @@ impl Script {
     /// should be halfway between the last two.
     fn pushed_off(&self, measured: &[f64]) -> bool {
         let Some([before, last]) = &self.commanded else { return false };
+        // A tool that feels its way is held back by what it touches.
+        if self.stages.get(self.current).is_some_and(|stage| stage.feel.is_some()) {
+            return false;
+        }
         let middle: Vec<f64> = before.iter().zip(last).map(|(a, b)| 0.5 * (a + b)).collect();
-        let off = self.chain.tcp_at(&middle).translation.vector - self.chain.tcp_at(measured).translation.vector;
-        off.norm() > GUARD_M
+        let off = self.chain.tcp_at(measured).translation.vector - self.chain.tcp_at(&middle).translation.vector;
+        self.distance(off) > GUARD_M
     }
 }
 
@@ -165,12 +278,44 @@ pub(crate) struct Planner<'a> {
     /// Joint positions at the end of the plan so far.
     at: Vec<f64>,
     stages: Vec<Stage>,
+    /// Whether the next stages are relative to where the last stage by touch ended.
+    relative: bool,
 }
 
 impl<'a> Planner<'a> {
     /// An empty plan that starts at the arm's home position.
     pub(crate) fn new(robot: &'a Robot, chain: &'a Chain, control_period_s: f64) -> Self {
-        Self { robot, chain, control_period_s, at: robot.settings.arm.home_rad.clone(), stages: Vec::new() }
+        let at = robot.settings.arm.home_rad.clone();
+        Self { robot, chain, control_period_s, at, stages: Vec::new(), relative: false }
+    }
+
+    fn push(&mut self, stage: Stage) {
+        self.stages.push(Stage { relative: self.relative, ..stage });
+    }
+
+    /// Lets the next stages begin where the last stage by touch ended, or not.
+    pub(crate) fn relative(&mut self, relative: bool) {
+        self.relative = relative && self.stages.iter().any(|stage| stage.feel.is_some());
+    }
+
+    /// Appends a straight motion by touch.
+    ///
+    /// # Errors
+    /// If its end is out of reach. The plan so far is kept.
+    pub(crate) fn feel(
+        &mut self,
+        phase: Word,
+        goal: Isometry3<f64>,
+        limit: ToolLimit,
+        gripper: GripperCommand,
+        fit: Fit,
+    ) -> Result<(), Unreachable> {
+        self.straight(phase, &[goal], limit, gripper)?;
+        let feel = Box::new(Feel::new(self.robot, fit));
+        if let Some(last) = self.stages.last_mut() {
+            last.feel = Some(feel);
+        }
+        Ok(())
     }
 
     /// The control period in which the plan so far ends at the latest, if nothing delays it.
@@ -194,13 +339,14 @@ impl<'a> Planner<'a> {
     ) -> Result<(), Unreachable> {
         let path = timed_path(self.chain, &self.at, ticks, poses, &self.robot.settings.arm, self.control_period_s)?;
         self.at = path.last().cloned().unwrap_or_else(|| self.at.clone());
-        self.stages.push(Stage { phase, path, gripper, settles: false, clock: Some(clock) });
+        self.push(Stage { clock: Some(clock), ..Stage::of(phase, path, gripper) });
         Ok(())
     }
 
     /// Appends a stage that waits for the control period `clock`.
     pub(crate) fn wait_for(&mut self, phase: Word, clock: usize, gripper: GripperCommand) {
-        self.stages.push(Stage { phase, path: vec![self.at.clone()], gripper, settles: false, clock: Some(clock) });
+        let path = vec![self.at.clone()];
+        self.push(Stage { clock: Some(clock), ..Stage::of(phase, path, gripper) });
     }
 
     /// The number of control periods of a motion in joint space to `goal`.
@@ -217,7 +363,7 @@ impl<'a> Planner<'a> {
     pub(crate) fn swing(&mut self, phase: Word, goal: Vec<f64>, gripper: GripperCommand) {
         let path = joint_path(&self.at, &goal, &self.robot.settings.arm, self.control_period_s);
         self.at = goal;
-        self.stages.push(Stage { phase, path, gripper, settles: false, clock: None });
+        self.push(Stage::of(phase, path, gripper));
     }
 
     /// Appends a straight motion of the tool through `goals`, which is one stage.
@@ -239,7 +385,7 @@ impl<'a> Planner<'a> {
             at = path.last().cloned().unwrap_or(at);
         }
         self.at = at;
-        self.stages.push(Stage { phase, path, gripper, settles: false, clock: None });
+        self.push(Stage::of(phase, path, gripper));
         Ok(())
     }
 
@@ -258,18 +404,19 @@ impl<'a> Planner<'a> {
         let arm = &self.robot.settings.arm;
         let path = curved_path(self.chain, &self.at, pose, length_m, &arm.home_rad, arm, limit, self.control_period_s)?;
         self.at = path.last().cloned().unwrap_or_else(|| self.at.clone());
-        self.stages.push(Stage { phase, path, gripper, settles: false, clock: None });
+        self.push(Stage::of(phase, path, gripper));
         Ok(())
     }
 
     /// Appends a stage that waits for a number of control periods.
     pub(crate) fn wait(&mut self, phase: Word, periods: usize, gripper: GripperCommand) {
-        self.stages.push(Stage { phase, path: vec![self.at.clone(); periods], gripper, settles: false, clock: None });
+        self.push(Stage::of(phase, vec![self.at.clone(); periods], gripper));
     }
 
     /// Appends a stage that waits until the gripper has carried out a command.
     pub(crate) fn grip(&mut self, phase: Word, gripper: GripperCommand) {
-        self.stages.push(Stage { phase, path: vec![self.at.clone()], gripper, settles: true, clock: None });
+        let path = vec![self.at.clone()];
+        self.push(Stage { settles: true, ..Stage::of(phase, path, gripper) });
     }
 
     /// Among tool poses, the index of the one with the smallest largest joint motion from the arm's home position, with

@@ -294,7 +294,7 @@ pub(super) struct PointTable {
     pub(super) close: Option<Text>,
 }
 
-/// The joint of a part. Quantities of a slide are in m and N, those of a hinge in rad and N m.
+/// The joint of a part. Quantities of a slide are in m and N, those of a hinge and a screw in rad and N m.
 #[derive(Debug, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub(super) struct JointTable {
@@ -315,6 +315,16 @@ pub(super) struct JointTable {
     pub(super) stiffness: Option<Text>,
     /// Value at which the spring has no force. Default: 0.
     pub(super) rest: Option<Text>,
+    /// How far a screw moves along its axis in one turn.
+    pub(super) pitch: Option<Text>,
+    /// What the thread of a screw takes up: a part that moves freely, or a point of one. It takes the part up at its lower stop
+    /// when the point is at its origin, the axes are parallel, and the part turns in its direction. Then both move as one body until the
+    /// screw is turned back.
+    pub(super) takes: Option<Text>,
+    /// How far that point may be from the origin. Default: 1 mm.
+    pub(super) within: Option<Text>,
+    /// How much the axes may lean. Default: 5 deg.
+    pub(super) lean: Option<Text>,
 }
 
 /// The kind of a joint.
@@ -323,6 +333,7 @@ pub(super) struct JointTable {
 pub(super) enum JointWord {
     Hinge,
     Slide,
+    Screw,
 }
 
 /// A box in space.

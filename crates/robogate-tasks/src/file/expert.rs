@@ -1,5 +1,7 @@
 //! The expert: a script of skills, planned from what the policy is told.
 
+mod insert;
+
 use std::f64::consts::{FRAC_PI_2, PI};
 use std::sync::Arc;
 
@@ -24,6 +26,8 @@ const CAREFUL_M_S2: f64 = 0.8;
 const CAREFUL_M_S: f64 = 0.1;
 /// Cosine of the angle between tool and slide below which the tips of the gripper press.
 const POINTS: f64 = 0.9;
+/// Speed of a tool that turns, in rad/s, if the file states none.
+const TWIST_RAD_S: f64 = 1.0;
 /// Distance of the tool from the axis of a hinge that counts as a way, in metres per radian.
 const LEVER_M: f64 = 0.05;
 
@@ -348,6 +352,7 @@ impl<'a> Plan<'a> {
     fn add(&mut self, skill: &Skill) -> Result<(), Unreachable> {
         let phase = skill.phase;
         let above = |at: Vector3<f64>, height: f64| at + Vector3::new(0.0, 0.0, height);
+        self.planner.relative(skill.is_relative());
         match &skill.what {
             Motion::Approach(place, height, _) | Motion::Over(place, height) => {
                 let (absolute, command) = match &skill.what {
@@ -438,6 +443,21 @@ impl<'a> Plan<'a> {
                 let soft = compliance(self.cell.robot, self.chain, self.planner.at(), 1.0);
                 let further = along * (soft * along).dot(&along) * self.number(force);
                 self.line(phase, self.tool().translation.vector + further, self.careful(None))?;
+            }
+            Motion::Insert(place, depth, force, catch) => {
+                self.tracked = None;
+                self.insert(phase, place, [self.number(depth), self.number(force)], catch.as_ref())?;
+            }
+            Motion::Twist(angle, speed) => {
+                self.tracked = None;
+                let (tool, angle) = (self.tool(), self.number(angle));
+                let speed = speed.as_ref().map_or(TWIST_RAD_S, |speed| self.number(speed));
+                let limit = ToolLimit { speed: speed * LEVER_M, acceleration: CAREFUL_M_S2 };
+                let pose = |share: f64| {
+                    let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), share * angle);
+                    Isometry3::from_parts(tool.translation, turn * tool.rotation)
+                };
+                self.planner.along(phase, &pose, LEVER_M * angle.abs(), limit, self.gripper)?;
             }
             Motion::Wait(duration) => {
                 let periods =
@@ -558,7 +578,7 @@ impl<'a> Plan<'a> {
         // A hinge moves the tool by its distance from the axis.
         let lever = match joint.kind {
             robogate_physics::JointKind::Slide => 1.0,
-            robogate_physics::JointKind::Hinge => {
+            robogate_physics::JointKind::Hinge | robogate_physics::JointKind::Screw => {
                 let from_axis = (joint.motion(from) * in_part).translation.vector - joint.anchor;
                 from_axis.cross(&joint.axis.normalize()).norm().max(LEVER_M)
             }

@@ -283,6 +283,7 @@ impl Reading<'_, '_> {
         let fixtures = self.fixtures(&document, &mut nominal);
         // Regions may be in parts, and parts may start in regions: names first.
         let parts = self.parts(&document, &mut nominal);
+        self.threads(&document, &mut nominal);
         let convex = fixtures.iter().map(|fixture| fixture.shapes.len()).sum::<usize>()
             + nominal.parts.iter().map(|part| part.shapes.len()).sum::<usize>();
         if convex > MOST_CONVEX {

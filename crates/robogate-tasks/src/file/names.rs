@@ -109,7 +109,11 @@ impl Names {
     }
 
     pub(super) fn place(&self, node: &Node) -> Result<Place, Wrong> {
-        let wanted = name(node)?;
+        self.place_named(node.at, name(node)?)
+    }
+
+    /// A place: a body, a point of a part, a region or the tool.
+    pub(super) fn place_named(&self, at: usize, wanted: &str) -> Result<Place, Wrong> {
         let origin = |on| Place::new(on, Vector3::zeros());
         if let Some((owner, point)) = wanted.split_once('.')
             && let Some(of) = self.find_part(owner)
@@ -136,7 +140,7 @@ impl Names {
             _ => {
                 let known = self.points.keys().map(String::as_str).chain(self.part_names());
                 let known = known.chain(self.fixture_names()).chain(self.regions.iter().map(|(name, _)| &**name));
-                Err(unknown(node.at, "place", wanted, known.chain(["tool"])))
+                Err(unknown(at, "place", wanted, known.chain(["tool"])))
             }
         }
     }

@@ -113,7 +113,10 @@ impl Referee {
             Some(GripChange::Held) => self.record.note(format!("{name} held")),
             // Closing without a part is a failure only where the file says so: a closed gripper can push.
             Some(GripChange::Missed) => {
-                self.record.note("the gripper closed without a part");
+                // A gripper that stays closed misses in every step.
+                if !hand.missed {
+                    self.record.note("the gripper closed without a part");
+                }
                 hand.missed = true;
             }
             Some(GripChange::Lost) => {

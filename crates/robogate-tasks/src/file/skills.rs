@@ -39,6 +39,11 @@ pub(super) enum Motion {
     Follow(usize, Value, Option<Value>),
     /// Move with a part along its joint to its upper stop, and press with a force.
     Press(usize, Value),
+    /// Bring the part in the hand by touch into a hole: where it is in the end, the depth of the hole, the force, and the range
+    /// within which the hole catches it.
+    Insert(Place, Value, Value, Option<Value>),
+    /// Turn the tool about the vertical.
+    Twist(Value, Option<Value>),
     Wait(Value),
     /// Wait until a part on a belt has come to a place, where it stops.
     Await(usize, Place),
@@ -46,6 +51,15 @@ pub(super) enum Motion {
 }
 
 impl Skill {
+    /// Whether it starts from where the tool is and goes nowhere in particular. After `insert`, that is where the part was inserted.
+    pub(super) fn is_relative(&self) -> bool {
+        use Motion::{Close, Follow, Lift, Press, Release, Rise, Shift, Twist, Wait};
+        matches!(
+            self.what,
+            Close | Release | Lift(_) | Rise(_) | Shift(..) | Follow(..) | Press(..) | Twist(..) | Wait(_)
+        )
+    }
+
     /// The part that it grasps.
     pub(super) fn grasped(&self) -> Option<usize> {
         match &self.what {
@@ -56,7 +70,7 @@ impl Skill {
 }
 
 /// The skills with their arguments.
-const SKILLS: [(&str, &str); 18] = [
+const SKILLS: [(&str, &str); 20] = [
     ("over", "over(PLACE, HEIGHT)"),
     ("transfer", "transfer(PLACE, HEIGHT[, SPEED[, ACCELERATION]])"),
     ("rise", "rise(HEIGHT)"),
@@ -73,6 +87,8 @@ const SKILLS: [(&str, &str); 18] = [
     ("push", "push(PART, VALUE[, SPEED])"),
     ("turn", "turn(PART, VALUE[, SPEED])"),
     ("press", "press(PART, FORCE)"),
+    ("insert", "insert(PLACE, DEPTH, FORCE[, CATCH])"),
+    ("twist", "twist(ANGLE[, SPEED])"),
     ("wait", "wait(DURATION)"),
     ("await", "await(PART, PLACE)"),
 ];
@@ -133,6 +149,15 @@ pub(super) fn skill(compiler: &mut Compiler<'_>, node: &Node) -> Result<Skill, W
                 return Err((part.at, "a part on a hinge cannot be pressed. Expected one on a slide".to_owned()));
             }
             Motion::Press(of, compiler.constant(force, Dimension::FORCE)?)
+        }
+        ("insert", [place, depth, force, catch @ ..]) if catch.len() < 2 => {
+            let (place, depth) = over(compiler, place, depth)?;
+            let force = compiler.constant(force, Dimension::FORCE)?;
+            Motion::Insert(place, depth, force, optional(compiler, catch, Dimension::LENGTH)?)
+        }
+        ("twist", [angle, speed @ ..]) if speed.len() < 2 => {
+            let angle = compiler.constant(angle, Dimension::ANGLE)?;
+            Motion::Twist(angle, optional(compiler, speed, Dimension::TURNING)?)
         }
         ("wait", [duration]) => Motion::Wait(compiler.constant(duration, Dimension::TIME)?),
         ("await", [part, place]) => Motion::Await(names.part(part)?, compiler.place(place)?),

@@ -7,15 +7,15 @@ use nalgebra::{Isometry3, Vector3};
 use robogate_core::{Better, DrawSpec, Fault, FeatureSpec, Foresight, Measures, Pose, Scenario};
 use robogate_physics::{Chain, GRAVITY, Gripper, Robot, isometry};
 
-use super::controller::{self, CARRY, INSERT_N, MOMENT_SHARE, Scripted};
+use super::controller::{self, CARRY, INSERT_N, Scripted};
 use super::parameters::Settings;
 use super::parts::{DEPTH_M, HEAD_HEIGHT_M, HEAD_M, SHAFT_M};
 use super::scene::{GRIP_FRICTION, nominal_poses, settings};
 use super::spec::Briefing;
 use super::whitney;
 use crate::arm::{
-    GAP_MARGIN, GRIP_THRESHOLD_M, LIP_MARGIN, OPENING_CLEARANCE, PRESS_MARGIN, Posture, bias_draws, components, draw,
-    drawn, feature, holding_n, in_hand, joined, log_ratio, tool_draws, within_quarter,
+    GAP_MARGIN, GRIP_THRESHOLD_M, LIP_MARGIN, MOMENT_SHARE, OPENING_CLEARANCE, PRESS_MARGIN, Posture, bias_draws,
+    components, draw, drawn, feature, holding_n, in_hand, joined, log_ratio, search_time, tool_draws, within_quarter,
 };
 
 /// Longest time of a search, in seconds: longer than an episode.
@@ -176,7 +176,7 @@ impl InsertionForesight {
         let weight_n = settings.mass_kg * (GRAVITY + CARRY.acceleration);
         let gripper = &self.robot.settings.gripper;
         let holding_n = holding_n(gripper, GRIP_FRICTION, self.grip_force_n, &settings.around.gripper);
-        let search_s = controller::search_time(settings.clearance_m, settings.chamfer_m, x.hypot(y));
+        let search_s = search_time(settings.clearance_m, settings.chamfer_m, x.hypot(y));
         let mut row = vec![
             x.hypot(y),
             0.5 * settings.clearance_m + settings.chamfer_m - x.abs().max(y.abs()),

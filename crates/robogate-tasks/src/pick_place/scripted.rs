@@ -214,7 +214,7 @@ impl Policy for Scripted {
         if plan.is_empty() {
             let path = vec![self.robot.settings.arm.home_rad.clone()];
             let gripper = GripperCommand::Open;
-            plan.push(Stage { phase: phases::APPROACH_ABOVE, path, gripper, settles: false, clock: None });
+            plan.push(Stage::of(phases::APPROACH_ABOVE, path, gripper));
         }
         self.script = Script::new(arm.chain, plan);
         Ok(())
