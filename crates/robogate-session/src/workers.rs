@@ -14,6 +14,7 @@ use robogate_risk::all_processors;
 use crate::failure::{Failure, OrFailure};
 use crate::lost_episodes::{Outage, RunsLostAgain};
 use crate::notice::note;
+use crate::policy_source::PolicySource;
 use crate::signals::SIGNALS;
 use crate::subject::Subject;
 
@@ -39,7 +40,10 @@ impl Workers<'_> {
         work: impl FnOnce(&BatchPool<'_>) -> Result<T, E>,
     ) -> Result<T, E> {
         let cores = all_processors();
-        let wanted = self.threads.or_else(|| subject.servers()).unwrap_or_else(|| subject.threads_on(cores));
+        let given = self.threads.or(self.in_flight).or_else(|| subject.servers());
+        let measured =
+            if given.is_none() && subject.at_most().is_none() { subject.measured_in_flight(cores) } else { None };
+        let wanted = measured.or(self.threads).or_else(|| subject.servers()).unwrap_or(cores);
         let threads = subject.at_most().map_or(wanted, |limit| limit.min(wanted));
         if self.threads.is_some() && threads < wanted {
             note(format_args!("{threads} thread: the policy server keeps one state for all clients"));
@@ -59,9 +63,10 @@ impl Workers<'_> {
             (None, many) => many,
         };
         let slots = slots.unwrap_or(NonZeroUsize::MIN);
-        let began = Instant::now();
+        let (began, before) = (Instant::now(), subject.usage().unwrap_or_default());
         let done = work(&BatchPool { factory: subject, threads, slots, stop: self.stop });
-        if let Some(limit) = subject.limit_of_speed(threads, began.elapsed()) {
+        let used = subject.usage().unwrap_or_default().since(before);
+        if let Some(limit) = subject.limit_of_speed(threads, began.elapsed(), used) {
             note(limit);
         }
         done
@@ -140,11 +145,14 @@ impl Workers<'_> {
         let ran = self.with_pool(subject, |pool| guarded(pool, u64::MAX, &mut events, work))?;
         subject.end_signals(dir).and(signals)?;
         match ran {
-            (Completion::Interrupted { .. }, Some(outage)) => Err(anyhow!(
-                "stopped: {outage}\nHint: the recorded episodes are kept; `robogate resume` runs the others once the server \
-                 is available again"
-            ))
-            .or_broken(),
+            (Completion::Interrupted { .. }, Some(outage)) => {
+                let network = subject.policy_source().is_some_and(PolicySource::is_network);
+                let until = if network { "once the cause is corrected" } else { "once the server is available again" };
+                Err(anyhow!(
+                    "stopped: {outage}\nHint: the recorded episodes are kept; `robogate resume` runs the others {until}"
+                ))
+                .or_broken()
+            }
             (completion, _) => {
                 if let Completion::Finished { .. } = completion {
                     subject.repeat_first_episodes(dir)?;
