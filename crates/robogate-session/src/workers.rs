@@ -48,8 +48,8 @@ impl Workers<'_> {
         if self.threads.is_some() && threads < wanted {
             note(format_args!("{threads} thread: the policy server keeps one state for all clients"));
         }
-        // A worker that waits for a server costs no processor time, so each episode has its own.
-        let waits = subject.waits_for_servers();
+        // A worker that waits for a server or for a process of the environment costs no processor time, so each episode has its own.
+        let waits = subject.waits_for_servers() || subject.is_launched();
         let threads = match self.in_flight {
             Some(in_flight) if waits => in_flight,
             Some(in_flight) => in_flight.min(threads),
@@ -57,11 +57,16 @@ impl Workers<'_> {
         };
         self.check_in_flight(subject)?;
         subject.start_servers(threads)?;
+        // Each simulator in another process has room for one episode.
+        let single = waits || subject.servers().is_some() || subject.at_most().is_some();
         let slots = match (self.in_flight, subject.slots(threads)?) {
-            _ if waits || subject.at_most().is_some() => None,
+            _ if single => None,
             (Some(in_flight), _) => NonZeroUsize::new(in_flight.get().div_ceil(threads.get())),
             (None, many) => many,
         };
+        if self.in_flight.is_some() && subject.policy_source().is_some_and(PolicySource::is_network) {
+            note("the network answers one request at a time: in a batch its answers would differ in their last bits");
+        }
         let slots = slots.unwrap_or(NonZeroUsize::MIN);
         let (began, before) = (Instant::now(), subject.usage().unwrap_or_default());
         let done = work(&BatchPool { factory: subject, threads, slots, stop: self.stop });

@@ -62,6 +62,13 @@ fn environment_and_network_become_a_project() {
     robogate(at, init, 2, &["robogate.toml, requirements.toml", "--force"]);
     // The other verbs find all of it in the project file.
     robogate(at, "run -n 8 --threads 1 --out r", 0, &["steering policy", "8 episodes"]);
+    // Each episode in progress has a process of its own.
+    robogate(
+        at,
+        "run -n 6 --in-flight 3 --out flight",
+        0,
+        &["6 episodes", "the network answers one request at a time"],
+    );
     let plan: serde_json::Value = serde_json::from_str(&read(at, "r/plan.json")).unwrap();
     let space = plan["provenance"]["space"].to_string();
     assert!(space.contains("drag") && !space.contains("noise"), "{space}");
