@@ -111,6 +111,7 @@ impl Subject {
         if !several {
             return Ok(());
         }
+        note(format_args!("comparing the answers of {} servers of the policy", source.servers.urls().len()));
         let profile = Arc::clone(&source.profile);
         let compared =
             ServerComparison::of(&source.servers, &profile, &source.access, queries, self.task().control_period_s)?;

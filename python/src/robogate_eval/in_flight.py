@@ -45,7 +45,7 @@ def served(environment: Any, name: str, policy: Any, in_flight: int) -> Iterator
         ours, theirs = fork.Pipe()
         # A process would keep the pipes of the others open.
         inherited = [ours, *pipes]
-        process = fork.Process(target=_serve, args=(environment, name, policy, number, theirs, inherited), daemon=True)
+        process = fork.Process(target=_serve, args=(environment, name, policy, number, theirs, inherited))
         process.start()
         theirs.close()
         pipes.append(ours)
@@ -109,7 +109,9 @@ def _serve(environment: Any, name: str, policy: Any, number: int, pipe: Any, inh
 
     from .serving.adapter import Adapter
     from .serving.environment import Policy
+    from .serving.process import end_with_parent
 
+    end_with_parent(multiprocessing.parent_process().pid)
     # The command ends the episodes; then the parent ends this process.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for other in inherited:
