@@ -151,7 +151,7 @@ other_suites() {
         skipped bridges/common "no Python with pyzmq and msgpack"
     fi
     local tests variable crate
-    for tests in METAWORLD:test_adapter METAWORLD:test_foreign METAWORLD:test_learned_contract METAWORLD:test_metaworld METAWORLD:test_motion METAWORLD:test_probe METAWORLD:test_libero_files METAWORLD:test_scripted FETCH:test_fetch DM_CONTROL:test_dm_control; do
+    for tests in METAWORLD:test_adapter METAWORLD:test_foreign METAWORLD:test_in_flight METAWORLD:test_learned_contract METAWORLD:test_metaworld METAWORLD:test_motion METAWORLD:test_probe METAWORLD:test_libero_files METAWORLD:test_scripted FETCH:test_fetch DM_CONTROL:test_dm_control; do
         variable=ROBOGATE_${tests%%:*}_PYTHON
         if [ -n "${!variable:-}" ]; then
             suite "environments ${tests#*:}" env PYTHONPATH="$PWD/python/src:$PWD/bridges/common" "${!variable}" scripts/run_unittests.py \

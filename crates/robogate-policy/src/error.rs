@@ -74,6 +74,12 @@ pub enum PolicyError {
         /// The message of the policy, shortened.
         text: String,
     },
+    /// A network in this process computed no answer.
+    #[error("policy error: {text}")]
+    Network {
+        /// The message of the library, shortened.
+        text: String,
+    },
     /// The bytes are not a valid reply of this dialect.
     #[error("invalid reply: {message}: {why}")]
     InvalidReply {
@@ -112,7 +118,7 @@ pub enum PolicyError {
         /// The value.
         value: String,
     },
-    /// The observation lacks an item that the profile requires.
+    /// The observation lacks an item that the profile requires, or has another shape or type than the network takes.
     #[error("observation: {0}")]
     Observation(String),
 }
@@ -142,20 +148,25 @@ impl PolicyError {
         Self::InvalidReply { message, why: why.to_string() }
     }
 
-    /// An error that the policy reported. Keeps the end of a long text, where a Python traceback names the error.
+    /// An error that the policy reported.
     pub(crate) fn reported(text: &str) -> Self {
-        const KEPT: usize = 400;
-        let text = text.trim();
-        let from = text.char_indices().rev().nth(KEPT).map_or(0, |(i, _)| i);
-        let cut = if from > 0 { "... " } else { "" };
-        Self::Reported { text: format!("{cut}{}", text.get(from..).unwrap_or_default()) }
+        Self::Reported { text: shortened(text) }
     }
+}
+
+/// The end of a long text, where a Python traceback names the error.
+pub(crate) fn shortened(text: &str) -> String {
+    const KEPT: usize = 400;
+    let text = text.trim();
+    let from = text.char_indices().rev().nth(KEPT).map_or(0, |(i, _)| i);
+    let cut = if from > 0 { "... " } else { "" };
+    format!("{cut}{}", text.get(from..).unwrap_or_default())
 }
 
 impl From<PolicyError> for Fault {
     fn from(error: PolicyError) -> Self {
         let kind = match error {
-            PolicyError::Shape(_) | PolicyError::NotFinite { .. } => FaultKind::BadAction,
+            PolicyError::Shape(_) | PolicyError::NotFinite { .. } | PolicyError::Network { .. } => FaultKind::BadAction,
             PolicyError::Observation(_) => FaultKind::Setup,
             _ => FaultKind::Unavailable,
         };

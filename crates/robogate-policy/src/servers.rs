@@ -43,6 +43,18 @@ pub struct Usage {
     pub busy: Duration,
 }
 
+impl Usage {
+    /// What was used after `earlier`.
+    #[must_use]
+    pub fn since(self, earlier: Self) -> Self {
+        Self {
+            requests: self.requests - earlier.requests,
+            waited: self.waited.saturating_sub(earlier.waited),
+            busy: self.busy.saturating_sub(earlier.busy),
+        }
+    }
+}
+
 impl PartialEq for Servers {
     fn eq(&self, other: &Self) -> bool {
         self.0.urls == other.0.urls

@@ -5,7 +5,7 @@ mod support;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use robogate_core::{Action, Command, Policy};
+use robogate_core::{Action, Command, FaultKind, Policy};
 use robogate_policy::{ExternalPolicy, PolicyError, Profile};
 use robogate_testing::fuzz::{self, Draw};
 use rten_onnx::onnx::{AttributeProto, DataType, Dimension, GraphProto, ModelProto, NodeProto, OperatorSetIdProto};
@@ -144,6 +144,40 @@ fn states_have_the_type_of_the_input() {
     }
 }
 
+/// What a state is made of says that it is not of integers, before anything is asked.
+#[test]
+fn real_numbers_are_refused_at_loading() {
+    let nodes = || vec![with_integer(node("Cast", &["state"], "y"), "to", 1)];
+    let scratch = Scratch::new("real", &network_with(DataType::INT64, Vec::new(), nodes()));
+    let why = load(&scratch.0, SMALL).unwrap_err();
+    assert!(why.is_usage_error() && why.to_string().contains("the input `state` has the type I64, but"), "{why}");
+    scratch.write(&network_with(DataType::BOOL, Vec::new(), nodes()));
+    let why = load(&scratch.0, SMALL).unwrap_err().to_string();
+    assert!(why.contains("has the type Bool, but the profile sends a vector"), "{why}");
+}
+
+#[test]
+fn products_with_vectors_agree_with_onnx_runtime() {
+    let camera = SMALL.find("[[camera]]").unwrap()..SMALL.find("[[state]]").unwrap();
+    let blind = SMALL.replace(&SMALL[camera], "");
+    agrees_with_onnx_runtime(&file("vector.onnx"), &blind, "vector");
+}
+
+#[test]
+fn products_that_cannot_be_computed_are_errors() {
+    let cases = [
+        (vec![8, 8], vec![7], "have the sizes [8, 8] and [7], which cannot be multiplied"),
+        (vec![3, 8, 8], vec![8], "the product of 3 matrices and one vector is not supported"),
+    ];
+    for (a, b, part) in cases {
+        let ones = |sizes: &[i64]| vec![1.0; sizes.iter().product::<i64>() as usize];
+        let constants = vec![tensor("a", &a, &ones(&a)), tensor("b", &b, &ones(&b))];
+        let scratch = Scratch::new("product", &network(constants, vec![node("MatMul", &["a", "b"], "y")]));
+        let why = error_of(&scratch.0, SMALL);
+        assert!(why.contains(part), "{why}");
+    }
+}
+
 #[test]
 fn an_open_batch_size_becomes_one() {
     agrees_with_onnx_runtime(&file("batch.onnx"), SMALL, "small");
@@ -229,6 +263,23 @@ fn every_load_and_thread_gives_the_same_bits() {
             }
         });
     }
+}
+
+/// No error of a network in this process is one of a server that is not available.
+#[test]
+fn errors_of_networks_are_not_outages() {
+    let gathered =
+        network(vec![integers("n", &[9])], vec![with_integer(node("Gather", &["state", "n"], "y"), "axis", 1)]);
+    let scratch = Scratch::new("gather", &gathered);
+    let mut policy = load(&scratch.0, SMALL).unwrap();
+    begin(&mut policy, "pick up the box").unwrap();
+    let fault = policy.act(&observation(96)).unwrap_err();
+    assert_eq!(fault.kind, FaultKind::BadAction, "{fault}");
+    let taller = SMALL.replace("width = 8\nheight = 8", "width = 16\nheight = 16");
+    let mut policy = load(&file("small.onnx"), &taller).unwrap();
+    begin(&mut policy, "pick up the box").unwrap();
+    let fault = policy.act(&observation(96)).unwrap_err();
+    assert_eq!(fault.kind, FaultKind::Setup, "{fault}");
 }
 
 /// Loads and runs files, and returns how many are refused. None may panic.

@@ -33,6 +33,7 @@ impl PolicySource {
                 profile: serde_json::to_value(&*source.profile)?,
                 map: source.map.as_deref().map(serde_json::to_value).transpose()?,
                 declared: source.declared.clone(),
+                compared: source.compared.clone(),
             }),
         })
     }
@@ -51,7 +52,7 @@ impl PolicySource {
                 let (environment, version, from) = (name.clone(), version.clone(), from.clone());
                 Self::Declared(DeclaredPolicy { environment, version, from })
             }
-            PolicyRecord::External(ExternalPolicyRecord { server, profile, map, declared }) => {
+            PolicyRecord::External(ExternalPolicyRecord { server, profile, map, declared, compared }) => {
                 Self::External(ExternalSource {
                     server: server.clone(),
                     profile: Arc::new(part("profile", profile)?),
@@ -60,6 +61,7 @@ impl PolicySource {
                     at: None,
                     access: Access::default(),
                     servers: Servers::of(server),
+                    compared: compared.clone(),
                 })
             }
         })

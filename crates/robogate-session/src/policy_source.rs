@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use anyhow::{Context, anyhow, bail};
 use robogate_core::{Fault, FaultKind, Observation, Policy, TaskSpec};
-use robogate_dictionary::{hex, read_text};
+use robogate_dictionary::{ComparedServers, hex, read_text};
 use robogate_policy::{
     Access, BoundMap, ExternalPolicy, Mapped, PolicyError, Profile, RangeCounts, Recorder, Servers, TaskMap,
 };
@@ -67,6 +67,8 @@ pub struct ExternalSource {
     pub(crate) access: Access,
     /// Where this process reaches it, as servers that its workers share.
     pub(crate) servers: Servers,
+    /// How the answers of several servers were compared. `None` for one server, and if they were not.
+    pub(crate) compared: Option<ComparedServers>,
 }
 
 impl PolicySource {
@@ -234,7 +236,7 @@ impl ExternalSource {
                 .or_request();
             }
         }
-        Ok(Self { server, profile, map, declared: declared.unwrap_or_default(), at, access, servers })
+        Ok(Self { server, profile, map, declared: declared.unwrap_or_default(), at, access, servers, compared: None })
     }
 }
 

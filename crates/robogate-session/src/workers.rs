@@ -14,6 +14,7 @@ use robogate_risk::all_processors;
 use crate::failure::{Failure, OrFailure};
 use crate::lost_episodes::{Outage, RunsLostAgain};
 use crate::notice::note;
+use crate::policy_source::PolicySource;
 use crate::signals::SIGNALS;
 use crate::subject::Subject;
 
@@ -39,13 +40,16 @@ impl Workers<'_> {
         work: impl FnOnce(&BatchPool<'_>) -> Result<T, E>,
     ) -> Result<T, E> {
         let cores = all_processors();
-        let wanted = self.threads.or_else(|| subject.servers()).unwrap_or_else(|| subject.threads_on(cores));
+        let given = self.threads.or(self.in_flight).or_else(|| subject.servers());
+        let measured =
+            if given.is_none() && subject.at_most().is_none() { subject.measured_in_flight(cores) } else { None };
+        let wanted = measured.or(self.threads).or_else(|| subject.servers()).unwrap_or(cores);
         let threads = subject.at_most().map_or(wanted, |limit| limit.min(wanted));
         if self.threads.is_some() && threads < wanted {
             note(format_args!("{threads} thread: the policy server keeps one state for all clients"));
         }
-        // A worker that waits for a server costs no processor time, so each episode has its own.
-        let waits = subject.waits_for_servers();
+        // A worker that waits for a server or for a process of the environment costs no processor time, so each episode has its own.
+        let waits = subject.waits_for_servers() || subject.is_launched();
         let threads = match self.in_flight {
             Some(in_flight) if waits => in_flight,
             Some(in_flight) => in_flight.min(threads),
@@ -53,15 +57,21 @@ impl Workers<'_> {
         };
         self.check_in_flight(subject)?;
         subject.start_servers(threads)?;
+        // Each simulator in another process has room for one episode.
+        let single = waits || subject.servers().is_some() || subject.at_most().is_some();
         let slots = match (self.in_flight, subject.slots(threads)?) {
-            _ if waits || subject.at_most().is_some() => None,
+            _ if single => None,
             (Some(in_flight), _) => NonZeroUsize::new(in_flight.get().div_ceil(threads.get())),
             (None, many) => many,
         };
+        if self.in_flight.is_some() && subject.policy_source().is_some_and(PolicySource::is_network) {
+            note("the network answers one request at a time: in a batch its answers would differ in their last bits");
+        }
         let slots = slots.unwrap_or(NonZeroUsize::MIN);
-        let began = Instant::now();
+        let (began, before) = (Instant::now(), subject.usage().unwrap_or_default());
         let done = work(&BatchPool { factory: subject, threads, slots, stop: self.stop });
-        if let Some(limit) = subject.limit_of_speed(threads, began.elapsed()) {
+        let used = subject.usage().unwrap_or_default().since(before);
+        if let Some(limit) = subject.limit_of_speed(threads, began.elapsed(), used) {
             note(limit);
         }
         done
@@ -140,11 +150,14 @@ impl Workers<'_> {
         let ran = self.with_pool(subject, |pool| guarded(pool, u64::MAX, &mut events, work))?;
         subject.end_signals(dir).and(signals)?;
         match ran {
-            (Completion::Interrupted { .. }, Some(outage)) => Err(anyhow!(
-                "stopped: {outage}\nHint: the recorded episodes are kept; `robogate resume` runs the others once the server \
-                 is available again"
-            ))
-            .or_broken(),
+            (Completion::Interrupted { .. }, Some(outage)) => {
+                let network = subject.policy_source().is_some_and(PolicySource::is_network);
+                let until = if network { "once the cause is corrected" } else { "once the server is available again" };
+                Err(anyhow!(
+                    "stopped: {outage}\nHint: the recorded episodes are kept; `robogate resume` runs the others {until}"
+                ))
+                .or_broken()
+            }
             (completion, _) => {
                 if let Completion::Finished { .. } = completion {
                     subject.repeat_first_episodes(dir)?;

@@ -43,7 +43,10 @@ def run(env: Any, policy: Any = None, *, episodes: int | None = None, out: "str 
       profile: paths of TOML files, names of built-in profiles, or the same tables as dicts;
     - None for the environment's own policy.
 
-    A function or a model runs in this process, one episode at a time. Anything else runs in processes of the command, one for each
+    A function or a model runs in this process, one episode at a time; with `in_flight=16`, 16 episodes run at once in processes of
+    their own, and the policy answers their requests together in this one. It needs `predict_batch(observations)` (a list of arrays of
+    actions, all of which are executed before the next request), or is a model of Stable-Baselines3 or LeRobot that keeps nothing
+    between its actions. An answer in a batch must not differ from the answer alone; this is checked and recorded. Anything else runs in processes of the command, one for each
     core or for each of `threads`. `episodes` is their number, and `out` the folder of the result; without one it is a new folder
     below the temporary folder, in a notebook below `runs` beside it. Further `options` are those of `robogate run`: `seed=7` is
     `--seed 7`, and `twins=True` is `--twins`.
@@ -102,7 +105,7 @@ def _command(env: Any, policy: Any, options: dict[str, Any], arguments: list[str
         interpreter = [] if "python" in options else ["--python", sys.executable]
         code = _run(*arguments, "--env", env, *interpreter, *_named(policy))
     else:
-        with _served(env, policy) as (address, chosen):
+        with _served(env, policy, options.get("in_flight")) as (address, chosen):
             code = _run(*arguments, "--simulator", address, *_named(chosen))
     if code not in WITH_RESULT:
         raise CommandError(code)
@@ -152,8 +155,9 @@ def _options(options: dict[str, Any]) -> list[str]:
 
 
 @contextmanager
-def _served(env: Any, policy: Any) -> Iterator[tuple[str, Any]]:
-    """Serve an environment in a thread of this process. Gives its address and the name of the policy."""
+def _served(env: Any, policy: Any, in_flight: "int | None" = None) -> Iterator[tuple[str, Any]]:
+    """Serve an environment in a thread of this process, or in so many processes. Gives the address or addresses, and the name of the
+    policy."""
     import dataclasses
 
     from robogate_bridge import Scenario
@@ -167,6 +171,12 @@ def _served(env: Any, policy: Any) -> Iterator[tuple[str, Any]]:
     chosen = policy
     if policy is not None and not isinstance(policy, (str, os.PathLike)):
         chosen = _name(policy)
+        if in_flight is not None and in_flight > 1:
+            from .in_flight import served
+
+            with served(environment, chosen, policy, in_flight) as addresses:
+                yield ",".join(addresses), chosen
+            return
         own = Policy(lambda env: as_function(policy, env), f"{type(policy).__name__} of the calling process.")
         environment = dataclasses.replace(environment, policies={**environment.policies, chosen: own})
     adapter = Adapter(environment)

@@ -68,22 +68,46 @@ def _version(files: list[Path]) -> str:
     return f"sha256:{digest.hexdigest()}"
 
 
-def as_function(policy: Any, env: Any = None) -> Callable[[Any], Any]:
-    """A policy as a function from an observation of `env` to an action. Called at the start of each episode."""
+def as_function(policy: Any, env: Any = None, ask: "Callable[[Any], Any] | None" = None) -> Callable[[Any], Any]:
+    """A policy as a function from an observation of `env` to an action. Called at the start of each episode. With `ask`, another process
+    computes the answers: `batched` of the same policy."""
     if isinstance(policy, stable_baselines.Model):
-        return policy.function(env)
+        return policy.function(env, ask)
+    if ask is not None and not hasattr(policy, "select_action"):
+        from .in_flight import rows
+
+        return rows(ask)
     if hasattr(policy, "predict"):
         return lambda observation: policy.predict(observation, deterministic=True)[0]
-    reset = getattr(policy, "reset", None)
-    if callable(reset):
-        reset()
     if hasattr(policy, "select_action"):
         from .lerobot.policy import as_function as of_lerobot
 
-        return of_lerobot(policy, env)
+        _reset(policy, ask)
+        return of_lerobot(policy, env, ask)
+    _reset(policy, ask)
     if callable(policy):
         return policy
     raise TypeError(
         f"{type(policy).__name__}: not a policy. Expected a function, a model with `predict` (Stable-Baselines3) or `select_action` "
         "(LeRobot), or a name"
     )
+
+
+def _reset(policy: Any, ask: Any) -> None:
+    """Start an episode of a policy that keeps something between its actions."""
+    if ask is None and callable(reset := getattr(policy, "reset", None)):
+        reset()
+
+
+def batched(policy: Any) -> "Callable[[list[Any]], list[Any]] | None":
+    """The policy as a function from what several episodes ask (`as_function`) to a list of their answers: arrays (actions, numbers). None
+    if it answers one request at a time."""
+    if callable(batch := getattr(policy, "predict_batch", None)):
+        return batch
+    if isinstance(policy, stable_baselines.Model) or hasattr(policy, "predict"):
+        return stable_baselines.batched(getattr(policy, "model", policy) if isinstance(policy, stable_baselines.Model) else policy)
+    if hasattr(policy, "select_action"):
+        from .lerobot.policy import batched as of_lerobot
+
+        return of_lerobot(policy)
+    return None

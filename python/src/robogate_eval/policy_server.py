@@ -20,6 +20,8 @@ GATHER_S = 0.005
 GATHER_SHARE = 0.5
 # The largest difference between an answer alone and in a batch, as a share of the spread of the actions.
 TOLERANCE = 1e-3
+# Requests that are answered alone for this comparison.
+COMPARED = 4
 
 Answer = Callable[["list[dict[str, Any]]"], "list[Any]"]
 
@@ -55,6 +57,8 @@ class Batcher:
         self._lock = threading.Lock()
         self._episodes = 0
         self._checked = most == 1
+        # What the comparison of an answer alone and in a batch found, and whether the answers to one request vary.
+        self.note, self.varies = "no batches were asked for", False
         self.requests = self.batches = 0
         self.busy_s = self._last_s = 0.0
         threading.Thread(target=self._run, daemon=True).start()
@@ -96,7 +100,7 @@ class Batcher:
             if not self._checked and len(batch) > 1:
                 # A request that cannot be answered is not checked, and is told below.
                 with contextlib.suppress(Exception):
-                    self._check([observation for observation, _ in batch])
+                    print(json.dumps({"batch_check": self.compare([observation for observation, _ in batch])}), flush=True)
             if len(batch) > self._most or not self._reply(batch):
                 for one in batch:
                     self._reply([one])
@@ -121,29 +125,53 @@ class Batcher:
             reply.put((answer, len(batch), took_s))
         return True
 
+    def compare(self, observations: list[dict[str, Any]]) -> str:
+        """Compare an answer alone with the one in a batch of these requests, before the first batch. Returns what was found. If they
+        differ, there are no batches."""
+        if self._checked or len(observations) < 2:
+            return self.note
+        self._check(observations)
+        return self.note
+
+    def summary(self, time_s: float) -> str:
+        """What was answered in this time, in a sentence."""
+        mean = self.requests / max(self.batches, 1)
+        return (
+            f"policy: {self.requests} requests, {mean:.1f} in a batch on average of at most {self._most}, busy in "
+            f"{100.0 * self.busy_s / max(time_s, 1e-9):.0f} % of the time; {self.note}"
+        )
+
     def _check(self, observations: list[dict[str, Any]]) -> None:
         import numpy as np
 
-        alone, again = (np.asarray(actions_of(self._answer(observations[:1])[0])) for _ in range(2))
-        together = np.asarray(actions_of(self._answer(observations)[0]))
-        allowed = TOLERANCE * max(float(np.ptp(alone)), 1e-6)
+        def answers(requests: list[dict[str, Any]]) -> list[Any]:
+            return [np.asarray(actions_of(answer)) for answer in self._answer(requests)]
 
-        def difference(other: Any) -> float:
-            return float(np.max(np.abs(other - alone), initial=0.0)) if other.shape == alone.shape else float("inf")
+        some = observations[:COMPARED]
+        alone = [answers([request])[0] for request in some]
+        again, together = answers(some[:1]), answers(observations)
+        values = np.concatenate([answer.ravel() for answer in together])
+        allowed = TOLERANCE * max(float(np.ptp(values)), 1e-6)
+
+        def difference(others: list[Any]) -> float:
+            pairs = list(zip(alone, others))
+            if any(one.shape != other.shape for one, other in pairs):
+                return float("inf")
+            return max(float(np.max(np.abs(one - other), initial=0.0)) for one, other in pairs)
 
         varies, differs = difference(again), difference(together)
-        if varies > allowed:
-            note = f"answers to one request vary by {varies:.3g}, so they cannot be compared with those in a batch"
+        self.varies = varies > allowed
+        if self.varies:
+            self.note = f"answers to one request vary by {varies:.3g}, so they cannot be compared with those in a batch"
         elif differs > allowed:
             self._most = 1
-            note = (
+            self.note = (
                 f"no batches: an answer in a batch of {len(observations)} differs by {differs:.3g} from the answer alone, so it depends on "
                 "the other requests, for example on padding or on statistics of the batch"
             )
         else:
-            note = f"an answer in a batch of {len(observations)} differs by {differs:.1g} from the answer alone"
+            self.note = f"an answer in a batch of {len(observations)} differs by {differs:.1g} from the answer alone (tolerance {allowed:.1g})"
         self._checked = True
-        print(json.dumps({"batch_check": note}), flush=True)
 
 
 def actions_of(answer: Any) -> Any:

@@ -48,8 +48,9 @@ class Model:
         self._statistics = statistics
         self._time_feature = time_feature
 
-    def function(self, env: Any) -> Callable[[Any], Any]:
-        """The model as a function from an observation of `env` to an action. Called at the start of each episode."""
+    def function(self, env: Any, ask: "Callable[[Any], Any] | None" = None) -> Callable[[Any], Any]:
+        """The model as a function from an observation of `env` to an action. Called at the start of each episode. With `ask`, another
+        process computes the actions (`batched`)."""
         import numpy as np
 
         self._check_arguments(env)
@@ -66,6 +67,9 @@ class Model:
             self._check(observation)
             if self._statistics is not None:
                 observation = self._statistics.normalized(observation)
+            if ask is not None:
+                steps += 1
+                return ask(observation)[0]
             options = {"action_masks": masks()} if masks is not None and type(model).__name__ == "MaskablePPO" else {}
             if recurrent:
                 options |= {"state": state, "episode_start": np.array([steps == 0])}
@@ -185,6 +189,21 @@ def load(path: "str | os.PathLike[str]", statistics: "str | os.PathLike[str] | N
     normalizer = Statistics(found[0]) if found else None
     model = _algorithm(file).load(file, device="cpu", custom_objects=TRAINING)
     return Model(model, normalizer, _time_feature(file, settings), [file, *found[:1]], _settings(file, "args.yml").get("env_kwargs"))
+
+
+def batched(model: Any) -> "Callable[[list[Any]], list[Any]] | None":
+    """A model as a function from several observations to a list of actions. None if it has a memory or masks actions."""
+    import numpy as np
+
+    if hasattr(getattr(model, "policy", None), "lstm_actor") or type(model).__name__ == "MaskablePPO":
+        return None
+
+    def answer(observations: list[Any]) -> list[Any]:
+        first = observations[0]
+        stacked = {key: np.stack([one[key] for one in observations]) for key in first} if isinstance(first, Mapping) else np.stack(observations)
+        return [action[None] for action in np.asarray(model.predict(stacked, deterministic=True)[0])]
+
+    return answer
 
 
 class Statistics:

@@ -36,7 +36,7 @@ class Tensor(np.ndarray):
     numpy = lambda self: np.asarray(self)
 
 
-def tensor(value):
+def tensor(value, dtype=None):
     return np.asarray(value).view(Tensor)
 
 
@@ -154,7 +154,7 @@ def stand_ins(stored=None):
         yield
 
     modules = {
-        "torch": {"Tensor": Tensor, "as_tensor": tensor, "inference_mode": contextlib.nullcontext, "autocast": autocast, "manual_seed": lambda _: None},
+        "torch": {"Tensor": Tensor, "as_tensor": tensor, "float32": np.float32, "cat": lambda parts: tensor(np.concatenate(parts)), "inference_mode": contextlib.nullcontext, "autocast": autocast, "manual_seed": lambda _: None},
         "lerobot": {},
         "lerobot.configs": {},
         "lerobot.configs.policies": {"PreTrainedConfig": Config},
@@ -256,6 +256,31 @@ class LeRobot(unittest.TestCase):
         for wrong, why in (("rename_map=a", "Expected a map"), ("rename=1", "is not an argument. Expected key=value with one of: rename_map")):
             with self.assertRaisesRegex(ValueError, why):
                 policies.load(f"lerobot:{self.folder}?{wrong}")
+
+    def test_several_episodes_share_a_batch(self):
+        policy, env = policies.load(f"lerobot:{self.folder}"), types.SimpleNamespace(instruction="move")
+        self.assertIsNone(policies.batched(policy))
+
+        def chunk(policy, batch):
+            self.assertEqual((batch["task"], len(batch["observation.state"])), (["move"] * 2, 2))
+            return np.stack([batch["observation.state"][:, :1]] * 3, axis=1).view(Tensor)
+
+        with mock.patch.object(Policy, "predict_action_chunk", chunk, create=True):
+            policy.config.n_action_steps = 2
+            answer, asked = policies.batched(policy), []
+
+            def ask(prepared):
+                asked.append(prepared)
+                return answer([prepared, prepared])[1]
+
+            act = policies.as_function(policy, env, ask)
+            actions = [act({"agent_pos": np.array([0.1 * at, 0.0], np.float32)}) for at in range(4)]
+            # Two actions of each chunk are executed, as with `select_action`.
+            np.testing.assert_allclose(np.concatenate(actions), [0.0, 0.0, 0.2, 0.2], atol=1e-7)
+            self.assertEqual(len(asked), 2)
+            for setting in ({"n_obs_steps": 2}, {"temporal_ensemble_coeff": 0.01}):
+                with mock.patch.multiple(policy.config, create=True, **setting):
+                    self.assertIsNone(policies.batched(policy))
 
     def test_half_precision_is_that_of_the_checkpoint(self):
         observation = {"agent_pos": np.zeros(2, np.float32)}

@@ -12,7 +12,7 @@ use serde::{Deserialize, Deserializer, Serialize, de::Error};
 
 pub use controls::{ControlProblem, ControlResult, Controls};
 pub use place::{CellPlace, Place, PythonPlace, RendererRecord};
-pub use policy::{ExternalPolicyRecord, PolicyRecord};
+pub use policy::{ComparedServers, ExternalPolicyRecord, PolicyRecord};
 pub use repeats::Repeats;
 
 /// The version of [`World`] that this crate writes and reads.

@@ -41,6 +41,27 @@ pub struct ExternalPolicyRecord {
     pub map: Option<Value>,
     /// What the policy reported about itself on the first connection.
     pub declared: Value,
+    /// How the answers of several servers were compared before the first episode. `None` for one server, and if they were not compared.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub compared: Option<ComparedServers>,
+}
+
+/// The comparison of the answers of several servers of one policy to the same requests.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ComparedServers {
+    /// The number of servers.
+    pub servers: usize,
+    /// The number of requests that each of them answered.
+    pub requests: usize,
+    /// The largest difference from an answer of the first server, in spreads of its number. `None` for random answers.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub largest: Option<f64>,
+    /// The largest difference that is admitted, in spreads.
+    pub tolerance: f64,
+    /// For random answers: the smallest p-value of the hypothesis that a server has the distribution of answers of the first one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub p_value: Option<f64>,
 }
 
 impl PolicyRecord {

@@ -4,6 +4,7 @@
 //! simulator. Each answer is that of a new episode of the policy: a memory of the policy has no effect.
 
 mod admission;
+mod alike;
 mod changes;
 mod file;
 mod recorder;
@@ -12,6 +13,7 @@ mod relation;
 mod tests;
 
 pub use admission::{Admission, admit};
+pub use alike::Likeness;
 pub use recorder::Recorder;
 
 use serde_json::Value as Json;
@@ -81,8 +83,28 @@ pub struct Fingerprint {
 }
 
 impl Fingerprint {
-    /// Ask a policy these requests, twice and in both orders; a policy with random answers more often.
+    /// Ask a policy these requests, twice and in both orders; a policy with random answers more often. Then find the inputs that have
+    /// an effect.
     pub fn measure(
+        queries: Vec<Query>,
+        policy: &mut dyn Asked,
+        profile: &Profile,
+        control_period_s: f64,
+    ) -> Result<Self, PolicyError> {
+        let mut fingerprint = Self::answers(queries, policy, profile, control_period_s)?;
+        if let Some(first) = fingerprint.probes.first().filter(|_| !fingerprint.is_random()) {
+            let inputs = changes::inputs(&first.query);
+            for input in inputs {
+                if fingerprint.is_used(&input, policy)? {
+                    fingerprint.used.push(input);
+                }
+            }
+        }
+        Ok(fingerprint)
+    }
+
+    /// Like [`Self::measure`], without the inputs that have an effect.
+    pub fn answers(
         queries: Vec<Query>,
         policy: &mut dyn Asked,
         profile: &Profile,
@@ -102,12 +124,6 @@ impl Fingerprint {
             fingerprint.probes.truncate(RANDOM_PROBES);
             for _ in ANSWERS[0]..ANSWERS[1] {
                 fingerprint.probes.iter_mut().try_for_each(&mut ask)?;
-            }
-        } else if let Some(first) = fingerprint.probes.first() {
-            for input in changes::inputs(&first.query) {
-                if fingerprint.is_used(&input, policy)? {
-                    fingerprint.used.push(input);
-                }
             }
         }
         fingerprint.declared = policy.declared().clone();

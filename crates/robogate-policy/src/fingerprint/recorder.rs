@@ -38,6 +38,11 @@ impl Recorder {
         }
     }
 
+    /// The number of kept requests.
+    pub fn kept(&self) -> usize {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).queries.len()
+    }
+
     /// Takes the kept requests, in the order of their keys.
     pub fn take(&self) -> Vec<Query> {
         let kept = std::mem::take(&mut *self.0.lock().unwrap_or_else(PoisonError::into_inner));

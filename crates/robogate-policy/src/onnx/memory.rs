@@ -92,7 +92,7 @@ pub(super) fn check(input: &Input, value: &Value) -> Result<(), PolicyError> {
     if *value.shape() == *input.shape {
         return Ok(());
     }
-    Err(PolicyError::Mismatch(format!(
+    Err(PolicyError::Shape(format!(
         "the memory `{}` takes {:?}, but the network has computed {:?} for it. Expected the same shape",
         input.name,
         input.shape,

@@ -31,7 +31,7 @@ use super::checkpoint::hex;
 use super::connection::Connection;
 use super::deadline::Deadline;
 use super::error::PolicyError;
-use super::profile::{Axes, Camera, Profile};
+use super::profile::{Axes, Camera, Part, Profile};
 use super::{chunk::Chunk, query::Query};
 pub use draft::{NetworkDraft, draft_network};
 use memory::Cell;
@@ -156,6 +156,24 @@ fn plain<T: Copy + Into<f64>>(tensor: &rten_tensor::Tensor<T>) -> Output {
 }
 
 impl Input {
+    /// Check that this input can take an image, or else a vector.
+    fn check_type(&self, is_picture: bool) -> Result<(), String> {
+        let fits = match sizes::computed(self.dtype) {
+            Some(DataType::UINT8) => is_picture,
+            Some(DataType::INT32) => !is_picture && self.dtype != DataType::BOOL,
+            computed => computed == Some(DataType::FLOAT),
+        };
+        if fits {
+            return Ok(());
+        }
+        let (key, dtype) = (&self.name, name(self.dtype));
+        let sent = if is_picture { "an image" } else { "a vector" };
+        Err(format!(
+            "the input `{key}` has the type {dtype}, but the profile sends {sent}. Supported: F16, F32 and F64; U8 for images; I32 and \
+             I64 for states"
+        ))
+    }
+
     /// Convert an array to the type and shape of this input.
     fn value(&self, array: &Array) -> Result<Value, PolicyError> {
         let shape = array.shape();
@@ -164,41 +182,32 @@ impl Input {
             extra.is_some_and(|extra| self.shape[..extra].iter().all(|n| *n == 1) && self.shape[extra..] == *shape);
         if !fits {
             let (name, expected) = (&self.name, &self.shape);
-            return Err(PolicyError::Mismatch(format!(
+            return Err(PolicyError::Observation(format!(
                 "the profile sends `{name}` with shape {shape:?}, but the network takes {expected:?}"
             )));
         }
         let is_picture = array.dtype() == Dtype::U8;
-        let mismatch = |e: &dyn std::fmt::Display| PolicyError::Mismatch(e.to_string());
+        self.check_type(is_picture).map_err(PolicyError::Observation)?;
+        let mismatch = |e: &dyn std::fmt::Display| PolicyError::Observation(e.to_string());
         let whole = |n: &f64| (n.fract() == 0.0 && n.abs() <= f64::from(i32::MAX)).then_some(*n as i32);
         match sizes::computed(self.dtype) {
-            Some(DataType::UINT8) if is_picture => {
-                Value::from_shape(&self.shape, array.data().to_vec()).map_err(|e| mismatch(&e))
-            }
-            Some(DataType::INT32) if !is_picture && self.dtype != DataType::BOOL => {
+            Some(DataType::UINT8) => Value::from_shape(&self.shape, array.data().to_vec()).map_err(|e| mismatch(&e)),
+            Some(DataType::INT32) => {
                 let numbers = array.numbers();
                 let integers: Option<Vec<i32>> = numbers.iter().map(whole).collect();
                 let integers = integers.ok_or_else(|| {
                     let (key, dtype) = (&self.name, name(self.dtype));
-                    PolicyError::Mismatch(format!(
+                    PolicyError::Observation(format!(
                         "the input `{key}` has the type {dtype}, but the profile sends {numbers:?}. Expected integers of \
                          at most 32 bits"
                     ))
                 })?;
                 Value::from_shape(&self.shape, integers).map_err(|e| mismatch(&e))
             }
-            Some(DataType::FLOAT) => {
+            _ => {
                 let scale = if is_picture { 1.0 / 255.0 } else { 1.0 };
                 let numbers: Vec<f32> = array.numbers().iter().map(|n| (n * scale) as f32).collect();
                 Value::from_shape(&self.shape, numbers).map_err(|e| mismatch(&e))
-            }
-            _ => {
-                let (key, sent) = (&self.name, array.dtype().name());
-                let other = name(self.dtype);
-                Err(PolicyError::Mismatch(format!(
-                    "the input `{key}` has the type {other}, but the profile sends {sent}. Supported: F16, F32 and F64; U8 \
-                     for images; I32 and I64 for states"
-                )))
             }
         }
     }
@@ -246,6 +255,7 @@ fn load(path: &str, profile: &Profile) -> Result<(Runnable, Description), Policy
     let (mut model, inputs) = parsed.map_err(|why| invalid(explain(&bytes, &why)))?;
     drop(bytes);
     check_keys(&inputs, profile)?;
+    check_types(&inputs, profile)?;
     memory::choose_outputs(&mut model, profile)?;
     let prepared = catch_panics(|| prepare(model, &inputs));
     let (runnable, outputs) = prepared.map_err(|why| invalid(cannot_load(&why)))?;
@@ -278,6 +288,27 @@ fn check_keys(inputs: &[Input], profile: &Profile) -> Result<(), PolicyError> {
             "the network has an input `{name}`, but the profile sends {keys}. Hint: add a [[state]] or [[camera]] with this \
              key, or a [[memory]] if an output of the network is fed back to it"
         )));
+    }
+    Ok(())
+}
+
+/// Check that each input can take what the profile sends: an image, integers or real numbers.
+fn check_types(inputs: &[Input], profile: &Profile) -> Result<(), PolicyError> {
+    for input in inputs {
+        if profile.cameras.iter().any(|camera| camera.key == input.name) {
+            input.check_type(true).map_err(PolicyError::Mismatch)?;
+        }
+        let Some(state) = profile.states.iter().find(|state| state.key == input.name) else { continue };
+        input.check_type(false).map_err(PolicyError::Mismatch)?;
+        let real = state.parts.iter().any(|part| *part != Part::Zero);
+        if real && sizes::computed(input.dtype) == Some(DataType::INT32) {
+            return Err(PolicyError::Mismatch(format!(
+                "the input `{}` has the type {}, but the `parts` of the state in the profile are real numbers. Expected integers of \
+                 at most 32 bits. Hint: export the network with an input of real numbers, or send `vectors` of integers",
+                input.name,
+                name(input.dtype)
+            )));
+        }
     }
     Ok(())
 }

@@ -143,6 +143,8 @@ impl<'a> Sizes<'a> {
             self.evaluate(single(node, &outputs), &outputs)?
         } else if let Some(array) = created(node, &inputs) {
             vec![array?]
+        } else if let Some(array) = product(node, &inputs) {
+            vec![array?]
         } else if op == "Split" && node.input.len() < 2 && attribute(node, "split").is_none() {
             split(node, &inputs).ok_or("its axis is out of range")?
         } else {
@@ -333,6 +335,30 @@ fn created(node: &NodeProto, inputs: &[Option<&Known>]) -> Option<Result<Known, 
         })()),
         _ => None,
     }
+}
+
+/// The array of a product with a vector. The library does not infer it. `None` for other nodes.
+fn product(node: &NodeProto, inputs: &[Option<&Known>]) -> Option<Result<Known, String>> {
+    let [Some(left), Some(right)] = inputs else { return None };
+    let (a, b) = (&left.shape[..], &right.shape[..]);
+    if node.op_type.as_deref() != Some("MatMul") || (a.len() != 1 && b.len() != 1) {
+        return None;
+    }
+    let wrong = || format!("its inputs have the sizes {a:?} and {b:?}, which cannot be multiplied");
+    let shape = || match (a, b) {
+        ([n], [m]) if n == m => Ok(Vec::new()),
+        ([n], [stack @ .., m, columns]) if n == m => Ok([stack, &[*columns]].concat()),
+        ([stack @ .., rows, n], [m]) if n == m => match stack.iter().product() {
+            0 | 1 => Ok([stack, &[*rows]].concat()),
+            // The library would keep an axis of size 1.
+            matrices => Err(format!(
+                "the product of {matrices} matrices and one vector is not supported. Hint: make the vector a matrix with one \
+                 column, and remove that axis of the product"
+            )),
+        },
+        _ => Err(wrong()),
+    };
+    Some(shape().map(|shape| Known { dtype: DataType::FLOAT, shape, content: None }))
 }
 
 /// The outputs that are read of a node that splits an array into equal parts. The library does not infer them.

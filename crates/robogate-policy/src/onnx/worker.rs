@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, PoisonError, Weak};
 use std::thread;
 
 use super::super::deadline::Deadline;
-use super::super::error::PolicyError;
+use super::super::error::{PolicyError, shortened};
 
 /// Most calls that may still run after their deadline, in this process. The library cannot interrupt a call.
 const MAX_OVERDUE: usize = 8;
@@ -67,7 +67,7 @@ impl<Q: Send + 'static, A: Send + 'static> Worker<Q, A> {
     /// Send a request and wait for the reply until the deadline.
     pub(super) fn call(&self, request: Q, deadline: Deadline, operation: &str) -> Result<A, PolicyError> {
         self.requests.send(request).map_err(|_| ended(operation))?;
-        self.wait(&self.replies, deadline, operation)?.map_err(|why| PolicyError::reported(&why))
+        self.wait(&self.replies, deadline, operation)?.map_err(|why| PolicyError::Network { text: shortened(&why) })
     }
 
     fn wait<T>(&self, from: &Receiver<T>, deadline: Deadline, operation: &str) -> Result<T, PolicyError> {

@@ -208,6 +208,30 @@ def history(path):
     save(path, nodes, weights, inputs, [("actions", TensorProto.FLOAT, [1, 2, 8])])
 
 
+def vector(path):
+    """Two layers without an axis for a batch: a vector times a matrix, and a matrix times a vector."""
+    rng = np.random.default_rng(6)
+    weights = {
+        "w1": rng.normal(0, 3, (8, 6)).astype(np.float32), "w2": rng.normal(0, 0.5, (16, 6)).astype(np.float32),
+        "form": np.array([2, 8], dtype=np.int64),
+    }
+    nodes = [
+        helper.make_node("MatMul", ["state", "w1"], ["first"]), helper.make_node("Tanh", ["first"], ["hidden"]),
+        helper.make_node("MatMul", ["w2", "hidden"], ["flat"]), helper.make_node("Reshape", ["flat", "form"], ["actions"]),
+    ]
+    save(path, nodes, weights, [("state", TensorProto.FLOAT, [8])], [("actions", TensorProto.FLOAT, [2, 8])])
+
+
+def integers(path):
+    """One layer from six integers to two numbers."""
+    weights = {"w": np.ones((6, 2), np.float32)}
+    nodes = [
+        helper.make_node("Cast", ["obs"], ["floats"], to=TensorProto.FLOAT), helper.make_node("MatMul", ["floats", "w"], ["sum"]),
+        helper.make_node("Tanh", ["sum"], ["action"]),
+    ]
+    save(path, nodes, weights, [("obs", TensorProto.INT64, ["batch", 6])], [("action", TensorProto.FLOAT, ["batch", 2])])
+
+
 def steering(path):
     """Three layers that steer the point of tests/it/init.py to its target: tanh(gain * (target - place) - damping * speed)."""
     plane = np.kron(np.array([[-3.0], [-1.5], [3.0]]), np.eye(2)).astype(np.float32)
@@ -269,6 +293,8 @@ operators(HERE / "operators.onnx")
 recurrent(HERE / "gru.onnx", "GRU", 3, [("h0", "h1")])
 recurrent(HERE / "lstm.onnx", "LSTM", 4, [("h0", "h1"), ("c0", "c1"), ("n0", "n1")])
 history(HERE / "history.onnx")
+vector(HERE / "vector.onnx")
+integers(HERE / "integers.onnx")
 steering(HERE.parents[3] / "docs/examples/point/policy.onnx")
 expected = {name: answer(HERE / f"{name}.onnx", front=eighth, state=state) for name in ["small", "operators"]}
 for path in sorted(SHIPPED.glob("*.onnx")):
@@ -280,4 +306,6 @@ expected["history"] = episode("history", lambda step: {
     "state": np.stack([step_state(max(0, step + offset))[0] for offset in HISTORY])[None],
     "front": np.stack([step_image(max(0, step + offset)) for offset in HISTORY[1:]])[None],
 })
+session = onnxruntime.InferenceSession(HERE / "vector.onnx", providers=["CPUExecutionProvider"])
+expected["vector"] = [[float(x) for x in row] for row in session.run(None, {"state": state[0]})[0]]
 (HERE / "expected.json").write_text(json.dumps(expected, indent=1) + "\n")

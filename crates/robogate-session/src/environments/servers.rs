@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use std::sync::mpsc::{self, Sender};
 use std::sync::{Arc, Mutex, OnceLock};
 use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
 
 use anyhow::anyhow;
 use robogate_remote::{Pool, Timeouts};
@@ -39,6 +40,8 @@ pub struct Servers {
     shown: Mutex<String>,
     /// What the first server has imported.
     imported: OnceLock<Imported>,
+    /// How long the first server took to start.
+    start: OnceLock<Duration>,
 }
 
 /// A request to start a process.
@@ -94,15 +97,23 @@ impl Servers {
         });
         let (starter, thread) = (Some(starter), Some(thread));
         let (running, shown, imported) = (Mutex::default(), Mutex::default(), OnceLock::new());
+        let start = OnceLock::new();
         let servers =
-            Self { environment, named_python, interpreter, timeouts, starter, thread, running, shown, imported };
+            Self { environment, named_python, interpreter, timeouts, starter, thread, running, shown, imported, start };
+        let began = Instant::now();
         let address = servers.launch(0)?;
+        servers.start.get_or_init(|| began.elapsed());
         Ok((Arc::new(servers), address))
     }
 
     /// The interpreter that the user named.
     pub fn named_python(&self) -> Option<&Path> {
         self.named_python.as_deref()
+    }
+
+    /// How long the first server took to start, and the number of its process.
+    pub(crate) fn first(&self) -> Option<(Duration, u32)> {
+        Some((*self.start.get()?, locked(&self.running).get(&0)?.id()))
     }
 
     /// What the servers have imported.

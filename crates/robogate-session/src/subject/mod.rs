@@ -9,7 +9,7 @@ mod spaces;
 
 use std::num::NonZeroUsize;
 use std::path::Path;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
 use anyhow::{Context, anyhow, bail};
@@ -25,7 +25,8 @@ use robogate_core::{
     TaskSpec,
 };
 use robogate_dictionary::{
-    CellPlace, Controls, Place, Platform, Provenance, SCHEMA_VERSION, Tool, World, check_columns, provenance,
+    CellPlace, ComparedServers, Controls, Place, Platform, Provenance, SCHEMA_VERSION, Tool, World, check_columns,
+    provenance,
 };
 use robogate_policy::{RangeCounts, RangeMeasures, Recorder, with_range_measures};
 use robogate_remote::RemoteEnvironment;
@@ -45,7 +46,7 @@ use crate::registry::CELL_TASK;
 use crate::registry::ManyWorlds;
 use crate::signals::{self, SIGNALS, SignalLog};
 use crate::stress::is_stress;
-use robogate_stats::format::{fixed, percent};
+use robogate_stats::format::percent;
 
 pub use built_in::BuiltIn;
 pub(crate) use built_in::hello_of;
@@ -79,6 +80,8 @@ pub struct Subject {
     /// Whether runs record the signals of their episodes.
     records_signals: bool,
     signals: SignalLog,
+    /// How many episodes are in progress by default, once it was measured.
+    pub(crate) in_flight: OnceLock<Option<NonZeroUsize>>,
 }
 
 impl Subject {
@@ -94,7 +97,7 @@ impl Subject {
             Some(profile) => with_range_measures(&task, profile),
             None => task,
         };
-        let subject = Self {
+        let mut subject = Self {
             environment,
             policy,
             task,
@@ -106,6 +109,7 @@ impl Subject {
             first_episodes: None,
             records_signals: false,
             signals: SignalLog::default(),
+            in_flight: OnceLock::new(),
         };
         let ready = match &subject.policy {
             // The environment declares it for its own task.
@@ -120,6 +124,9 @@ impl Subject {
             })
             .or_request()?;
         subject.missing_instruction().into_iter().for_each(warning);
+        // A server may have room for one client.
+        drop(ready);
+        subject.check_first_requests()?;
         Ok(subject)
     }
 
@@ -441,6 +448,13 @@ impl Subject {
         self.policy.as_ref()
     }
 
+    /// Sets what this subject records about the comparison of the servers of its policy.
+    pub(crate) fn record_compared(&mut self, compared: Option<ComparedServers>) {
+        if let Some(PolicySource::External(source)) = &mut self.policy {
+            source.compared = compared;
+        }
+    }
+
     pub(crate) fn first_episodes(&self) -> Option<&FirstEpisodes> {
         self.first_episodes.as_ref()
     }
@@ -477,48 +491,11 @@ impl Subject {
         self.policy.as_ref().and_then(PolicySource::profile).is_some_and(|profile| !profile.dialect.is_file())
     }
 
-    /// What limits the speed of so many workers in this time. `None` without policy servers, and for a short time.
-    pub(crate) fn limit_of_speed(&self, workers: NonZeroUsize, time: Duration) -> Option<String> {
-        /// Requests that a statement needs.
-        const FEWEST: u64 = 100;
-        /// The share of the time with requests from which on the servers are the limit.
-        const BUSY: f64 = 0.9;
-        let Some(PolicySource::External(source)) = self.policy.as_ref().filter(|_| self.waits_for_servers()) else {
-            return None;
-        };
-        let usage = source.servers.usage();
-        if usage.requests < FEWEST {
-            return None;
-        }
-        let seconds = time.as_secs_f64();
-        let (busy, waiting) = (usage.busy.as_secs_f64() / seconds, usage.waited.as_secs_f64() / seconds);
-        let workers = workers.get() as f64;
-        let limit = if busy < BUSY || 2.0 * waiting < workers {
-            "the simulation is the limit".to_owned()
-        } else {
-            format!(
-                "the servers are the limit: name more with --policy A,B, or use --in-flight {:.0} if they answer in batches",
-                2.0 * workers
-            )
-        };
-        Some(format!(
-            "policy servers: a request is in progress in {} of the time, {} of {workers:.0} episodes wait for an answer on average, {} ms \
-             each; {limit}",
-            percent(busy.min(1.0)),
-            fixed(waiting, 1),
-            fixed(1_000.0 * usage.waited.as_secs_f64() / usage.requests as f64, 0)
-        ))
-    }
-
-    /// How many episodes run at once by default on this many cores. A worker waits while a policy server computes, so
-    /// others must simulate and render in the meantime, and the server must always find a request.
-    pub fn threads_on(&self, cores: NonZeroUsize) -> NonZeroUsize {
-        /// Threads per core while a server computes the actions.
-        const PER_CORE: usize = 4;
-        // Each worker of a launched environment is a process of its own.
-        match self.waits_for_servers() && !self.is_launched() {
-            true => NonZeroUsize::new((PER_CORE * cores.get()).clamp(8, 32)).unwrap_or(cores),
-            false => cores,
+    /// How long the first process of the environment took to start, and its number, if this process started it.
+    pub(crate) fn process_of_environment(&self) -> Option<(Duration, u32)> {
+        match &self.environment {
+            EnvironmentSource::Remote(RemoteSource { launched: Some(launched), .. }) => launched.servers.first(),
+            _ => None,
         }
     }
 

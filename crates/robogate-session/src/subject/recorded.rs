@@ -135,6 +135,10 @@ impl Subject {
         let Permit { environment: permitted, robot: permitted_robot, location, mut simulators } =
             opening.permit(folder, provenance, &programs_of(&world))?;
         let World { mut place, policy, execution, stress, controls, .. } = world;
+        let recorded_comparison = match &policy {
+            Some(PolicyRecord::External(external)) => external.compared.clone(),
+            _ => None,
+        };
         let policy = policy.as_ref().map(PolicySource::recorded).transpose()?;
         if let Some(policy) = &policy {
             simulators.loads = policy.loaded(&location).or_request()?;
@@ -234,7 +238,9 @@ impl Subject {
             }
             None => location.unused().map(|()| None)?,
         };
-        let subject = Self::new(environment, policy)?.executed(execution)?.stressed(stress)?;
+        let mut subject = Self::new(environment, policy)?.executed(execution)?.stressed(stress)?;
+        // The servers were compared again. The record of the run stays.
+        subject.record_compared(recorded_comparison);
         Ok(Self { controls, recorded_robot, ..subject })
     }
 }

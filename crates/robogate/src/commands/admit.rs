@@ -244,7 +244,11 @@ struct Files {
 fn is_answer(error: &PolicyError) -> bool {
     matches!(
         error,
-        PolicyError::Mismatch(_) | PolicyError::Shape(_) | PolicyError::NotFinite { .. } | PolicyError::Reported { .. }
+        PolicyError::Mismatch(_)
+            | PolicyError::Shape(_)
+            | PolicyError::NotFinite { .. }
+            | PolicyError::Network { .. }
+            | PolicyError::Reported { .. }
     )
 }
 

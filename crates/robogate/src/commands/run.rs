@@ -158,12 +158,13 @@ fn describe_a_plan(given: &Given) -> bool {
 /// How a campaign is run and shown.
 #[derive(Debug, Args)]
 pub(crate) struct How {
-    /// Set the number of threads; default: one for each core, or for each server of --simulator. With a policy server:
-    /// four for each core, from 8 to 32, because most of the time is spent waiting. --env starts a server for each thread
+    /// Set the number of threads; default: one for each core, or for each server of --simulator. With a policy server: one for each
+    /// episode in progress. --env starts a server for each thread
     #[arg(long, value_name = "T", value_parser = number::threads)]
     pub(crate) threads: Option<NonZeroUsize>,
     /// Set the number of episodes in progress at once, in all threads together, rounded up to the same number in each thread;
-    /// default: one in each thread. --engine warp: 2048 on a GPU
+    /// default: one in each thread. With a policy server: as many as keep the cores busy while it computes, from its first requests, at
+    /// most 64 and half of the memory. --engine warp: 2048 on a GPU
     #[arg(long, value_name = "N", value_parser = number::in_flight)]
     pub(crate) in_flight: Option<NonZeroUsize>,
     /// Print the result as one JSON document

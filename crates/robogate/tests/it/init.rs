@@ -62,6 +62,13 @@ fn environment_and_network_become_a_project() {
     robogate(at, init, 2, &["robogate.toml, requirements.toml", "--force"]);
     // The other verbs find all of it in the project file.
     robogate(at, "run -n 8 --threads 1 --out r", 0, &["steering policy", "8 episodes"]);
+    // Each episode in progress has a process of its own.
+    robogate(
+        at,
+        "run -n 6 --in-flight 3 --out flight",
+        0,
+        &["6 episodes", "the network answers one request at a time"],
+    );
     let plan: serde_json::Value = serde_json::from_str(&read(at, "r/plan.json")).unwrap();
     let space = plan["provenance"]["space"].to_string();
     assert!(space.contains("drag") && !space.contains("noise"), "{space}");
@@ -71,6 +78,14 @@ fn environment_and_network_become_a_project() {
     robogate(at, "init env.py small.onnx --force", 2, &["takes the image front", "has no camera"]);
     fs::write(at.join("text.onnx"), "not a network").unwrap();
     robogate(at, "init env.py text.onnx --force", 2, &["it is a text file. Expected an ONNX model"]);
+    // A network of integers cannot take the real numbers of this environment, which its first request shows.
+    fs::copy(networks.join("integers.onnx"), at.join("integers.onnx")).unwrap();
+    let typed = ["`obs` has the type I64, but the profile sends [", "Expected integers of at most 32 bits"];
+    robogate(at, "init env.py integers.onnx --force", 2, &typed);
+    assert!(!at.join("runs/nominal-2").exists());
+    for line in ["policy check integers.onnx", "run -n 3 --out typed", "gate --out typed"] {
+        robogate(at, line, 2, &typed);
+    }
     // A failed episode gets a tested diagnosis: it succeeds if it may take longer.
     fs::write(at.join("env.py"), point.replace("time_limit_s=8.0", "time_limit_s=0.6")).unwrap();
     let again = format!("{init} --force");

@@ -94,7 +94,8 @@ fn lost_server_leaves_the_others() {
     let dir = TempDir::new().unwrap();
     let profile = profile(&dir, "pi0-libero", &TEN);
     let ((dies, first), (stays, second)) = (listener(), listener());
-    go_down(dies, 6);
+    // Up to twelve requests compare the servers before the first episode.
+    go_down(dies, 18);
     go_down(stays, usize::MAX);
     let run = dir.path().join("run").to_str().unwrap().to_owned();
     let both = format!("{first},{second}");
@@ -105,9 +106,67 @@ fn lost_server_leaves_the_others() {
     let (free, url) = listener();
     drop(free);
     let missing = format!("{second},{url}");
-    assert_exit(&["policy", "check", &missing, "--profile", &profile, "--requests", "2"], 0, &["no problems found"]);
+    assert_exit(&["policy", "check", &missing, "--profile", &profile, "--requests", "2"], 5, &["unreachable", &url]);
     let start = ["run", "--policy", &missing, "--profile", &profile, "-n", "3", "--out", &run];
     assert_exit(&start, 5, &["unreachable", &url]);
+}
+
+/// Answers request `n` with ten actions, whose number `j` of action `i` is `number(n, i, j)`.
+fn answer_with(listener: TcpListener, number: impl Fn(u64, usize, usize) -> f64 + Send + 'static) {
+    let mut requests = 0;
+    serve(listener, move |_, socket| {
+        while let Ok(message) = socket.read() {
+            if message.is_binary() {
+                requests += 1;
+                socket.send(Message::binary(actions(10, 7, |i, j| number(requests, i, j)))).unwrap();
+            }
+        }
+        ControlFlow::Continue(())
+    });
+}
+
+/// One of several servers with another checkpoint would give a verdict about a mixture of two policies.
+#[test]
+fn servers_of_one_policy_must_answer_alike() {
+    let dir = TempDir::new().unwrap();
+    let profile = profile(&dir, "pi0-libero", &TEN);
+    let down = |i: usize, j: usize| [0.1, 0.0, -0.5, 0.0, 0.0, 0.0, -1.0][j] + 0.01 * ((i + j) as f64).sin();
+    let server = |number: Box<dyn Fn(u64, usize, usize) -> f64 + Send>| {
+        let (free, url) = listener();
+        answer_with(free, number);
+        url
+    };
+    let first = server(Box::new(move |_, i, j| down(i, j)));
+    let same = server(Box::new(move |_, i, j| down(i, j) + 1e-9));
+    let opposite = server(Box::new(move |_, i, j| if j == 2 { -down(i, j) } else { down(i, j) }));
+    let go = |servers: [&str; 2], out: &str, code: i32, parts: &[&str]| {
+        let (list, out) = (servers.join(","), dir.path().join(out));
+        let run = ["run", "--policy", &list, "--profile", &profile, "-n", "4", "--in-flight", "2"];
+        assert_exit(&[&run[..], &["--out", out.to_str().unwrap()]].concat(), code, parts);
+        fs::read_to_string(out.join("plan.json")).ok()
+    };
+    let plan = go([&first, &same], "same", 0, &["2 servers answer alike in"]).unwrap();
+    let plan: serde_json::Value = serde_json::from_str(&plan).unwrap();
+    let compared = &plan["provenance"]["world"]["policy"]["compared"];
+    assert!(compared["servers"] == 2 && compared["largest"].as_f64().unwrap() < 1e-5, "{compared}");
+    let words = format!("{opposite} answers differently from {first}: number 3 of action");
+    let different = [&*words, "in place of -0.5"];
+    assert_eq!(go([&first, &opposite], "opposite", 2, &different), None);
+    let check = format!("{first},{opposite}");
+    let check = ["policy", "check", &check, "--profile", &profile, "--requests", "2"];
+    assert_exit(&check, 1, &["2 servers differ in 1 request", "problem:", &words]);
+
+    // Random answers are compared as distributions.
+    let random = |seed: u64, offset: f64| {
+        server(Box::new(move |n, i, j| {
+            let mut stream = robogate_core::Seed::campaign(seed).episode(n).stream(&format!("{i} {j}"));
+            down(i, j) + offset + stream.between(-0.2, 0.2)
+        }))
+    };
+    let (one, two, other) = (random(1, 0.0), random(2, 0.0), random(3, 0.1));
+    go([&one, &two], "random", 0, &["2 servers answer alike in", "random answers, compared as distributions"]);
+    let words = format!("{other} answers differently from {one}: the answers have another distribution");
+    go([&one, &other], "other", 2, &[&words]);
 }
 
 #[test]

@@ -66,8 +66,9 @@ def version(path: "str | os.PathLike[str]") -> str:
     return f"sha256:{digest.hexdigest()}"
 
 
-def as_function(policy: Any, env: Any = None) -> Callable[[Any], Any]:
-    """A policy as a function from an observation of `env` to an action. Called at the start of each episode, after `policy.reset()`."""
+def as_function(policy: Any, env: Any = None, ask: "Callable[[Any], Any] | None" = None) -> Callable[[Any], Any]:
+    """A policy as a function from an observation of `env` to an action. Called at the start of each episode, after `policy.reset()`. With
+    `ask`, another process computes the actions (`batched`), and this one prepares its batch of one observation."""
     import torch
 
     before, after = _processors(policy)
@@ -79,7 +80,7 @@ def as_function(policy: Any, env: Any = None) -> Callable[[Any], Any]:
     device = next(policy.parameters()).device
     policy.eval()
 
-    def act(observation: Any) -> Any:
+    def prepared(observation: Any) -> dict[str, Any]:
         batch = first(_batch(observation, env))
         for wanted, feature in inputs.items():
             name = before_renaming.get(wanted, wanted)
@@ -91,12 +92,55 @@ def as_function(policy: Any, env: Any = None) -> Callable[[Any], Any]:
             elif feature.type.name != "VISUAL" and tuple(batch[name].shape[1:]) != tuple(feature.shape):
                 found = tuple(batch[name].shape[1:])
                 raise ValueError(f"the policy expects {name} of the shape {tuple(feature.shape)}, but the environment observes {found}")
-        batch = {name: value.to(device) if isinstance(value, torch.Tensor) else value for name, value in batch.items()}
+        return batch
+
+    def performed(action: Any) -> Any:
+        return last({"action": action})["action"].squeeze(0).float().cpu().numpy()
+
+    if ask is not None:
+        from ..in_flight import rows
+
+        chunk = rows(ask, prepared)
+        return lambda observation: performed(torch.as_tensor(chunk(observation), dtype=torch.float32).unsqueeze(0))
+
+    def act(observation: Any) -> Any:
+        batch = _on(device, prepared(observation))
         with torch.inference_mode(), torch.autocast(device.type) if getattr(policy.config, "use_amp", False) else nullcontext():
-            action = last({"action": after(policy.select_action(before(batch)))})["action"]
-        return action.squeeze(0).float().cpu().numpy()
+            action = after(policy.select_action(before(batch)))
+        return performed(action)
 
     return act
+
+
+def batched(policy: Any) -> "Callable[[list[Any]], list[Any]] | None":
+    """A policy as a function from several prepared batches of one observation to the actions that `select_action` would execute of each.
+    None if its actions depend on more than the present observation."""
+    config = policy.config
+    alone = getattr(config, "n_obs_steps", 1) != 1 or getattr(config, "temporal_ensemble_coeff", None) is not None
+    if alone or not hasattr(policy, "predict_action_chunk"):
+        return None
+    import torch
+
+    before, after = _processors(policy)
+    device = next(policy.parameters()).device
+    policy.eval()
+
+    def answer(batches: list[Any]) -> list[Any]:
+        def joined(values: list[Any]) -> Any:
+            return torch.cat(values) if isinstance(values[0], torch.Tensor) else [text for one in values for text in one]
+
+        batch = _on(device, {name: joined([one[name] for one in batches]) for name in batches[0]})
+        with torch.inference_mode(), torch.autocast(device.type) if getattr(config, "use_amp", False) else nullcontext():
+            chunks = after(policy.predict_action_chunk(before(batch)))
+        return list(chunks[:, : getattr(config, "n_action_steps", 1)].float().cpu())
+
+    return answer
+
+
+def _on(device: Any, batch: dict[str, Any]) -> dict[str, Any]:
+    import torch
+
+    return {name: value.to(device) if isinstance(value, torch.Tensor) else value for name, value in batch.items()}
 
 
 def _batch(observation: Any, env: Any) -> dict[str, Any]:

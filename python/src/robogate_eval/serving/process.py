@@ -42,6 +42,14 @@ def _keep() -> None:
     gc.freeze()
 
 
+def end_with_parent(parent: int) -> None:
+    """End this process when the thread that started it ends, if this process is still a child of `parent`. Linux only."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+        if os.getppid() != parent:
+            os._exit(0)
+
+
 class Child:
     """This process as a child of the command.
 
@@ -51,11 +59,7 @@ class Child:
     """
 
     def __init__(self) -> None:
-        parent = os.getppid()
-        if sys.platform == "linux":
-            ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-            if os.getppid() != parent:
-                os._exit(0)
+        end_with_parent(os.getppid())
         # A group of its own, with the processes that the environment starts.
         os.setpgrp()
         # Packages print to standard output when they are imported.
