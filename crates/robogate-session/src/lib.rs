@@ -57,6 +57,7 @@ mod subject;
 pub mod task_folder;
 pub mod text;
 mod twins;
+mod warner;
 mod workers;
 #[cfg(feature = "mujoco")]
 mod worlds;
@@ -112,6 +113,7 @@ pub use subject::{
     starts_processes,
 };
 pub use twins::twins_of;
+pub use warner::{UnwarnedEnd, WarnerChoice, on_warning, read_detector, unwarned, warner_effect_of};
 pub use workers::{Workers, guarded};
 
 /// The SHA-256 of the source files that results depend on.

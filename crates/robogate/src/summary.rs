@@ -10,7 +10,7 @@ use robogate_campaign::{
     BoundaryReport, DrawnFrom, GroupSummary, OutcomeCounts, Population, Sought, Stage, StageSummary, SuiteSummary,
     Summary,
 };
-use robogate_gate::{NominalRate, Twins};
+use robogate_gate::{NominalRate, Twins, WarnerEffect};
 use robogate_report::{Additions, Headline, analysis_text};
 use robogate_stats::format::counted;
 use serde_json::json;
@@ -26,6 +26,8 @@ pub(crate) struct Arms<'a> {
     pub(crate) twins: Option<&'a Twins>,
     /// The success rate with nothing varied.
     pub(crate) nominal: Option<&'a NominalRate>,
+    /// What a warner changed.
+    pub(crate) warner: Option<&'a WarnerEffect>,
 }
 
 /// Prints the summary as one JSON document.
@@ -46,6 +48,9 @@ pub(crate) fn json(
         }
         if let Some(nominal) = arms.nominal {
             document.insert("nominal".to_owned(), serde_json::to_value(nominal)?);
+        }
+        if let Some(warner) = arms.warner {
+            document.insert("warner".to_owned(), serde_json::to_value(warner)?);
         }
     }
     line(serde_json::to_string_pretty(&document)?);

@@ -152,6 +152,18 @@ function recipe(r) {
     ...r.dependence.map(text => el("div", { class: "warning" }, text)),
     ...r.detectors.map(detector), ...r.outside.map(outside), ...course(r));
 }
+function warnings(w) {
+  const e = w.episodes;
+  const state = e.suspended ? "suspended" : w.shifted.length ? "partly suspended" : "on";
+  return el("section", { class: "card" },
+    el("h3", {}, el("span", {}, w.task), el("span", { class: state === "on" ? "fine" : "warning" }, state)),
+    el("div", {}, `${whole(e.warned_failures)} failures warned, ${whole(e.missed_failures)} missed; ` +
+      `${whole(e.warned_successes)} of ${whole(e.warned_successes + e.quiet_successes)} successes warned (promised: at most ${percent(w.promised)}); ` +
+      `${whole(e.stopped)} episodes stopped at a warning; ${whole(w.running)} running`),
+    ...(e.suspended ? [el("div", { class: "warning" }, "More successes were warned than promised: calibrate again. No warnings are sent.")] : []),
+    ...(w.shifted.length ? [el("div", { class: "warning" }, `No warnings are sent for recipes with an alarm: ${w.shifted.join(", ")}`)] : []),
+    ...(w.suppressed ? [el("div", { class: "dim" }, `${whole(w.suppressed)} warnings were not sent, because their recipe had an alarm`)] : []));
+}
 function outside(o) {
   const range = o.numbers && (o.numbers[0] < o.numbers[1] ? `${short(o.numbers[0])} to ${short(o.numbers[1])}` : short(o.numbers[0]));
   const valid = o.validated && (o.validated.range ? o.validated.range.map(short).join(" to ") : o.validated.words.join(", "));
@@ -306,6 +318,8 @@ function show() {
       "Bars show the evidence of a detector relative to its critical limit, on a logarithmic scale.";
     const name = $("of-recipe").value;
     fill("recipes", s.recipes.filter(r => !name || r.recipe === name), recipe, "No cycle has arrived yet.");
+    $("warnings-part").hidden = !s.warnings;
+    if (s.warnings) fill("warnings", [s.warnings], warnings, "");
     fill("alarms", events(s.alarms.filter(wanted)), happened, "No alarms.");
     fleet(name ? { ...f, recipes: f.recipes.filter(r => r.recipe === name) } : f);
     if (!chosen) cycles();

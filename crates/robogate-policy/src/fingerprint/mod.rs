@@ -4,6 +4,7 @@
 //! simulator. Each answer is that of a new episode of the policy: a memory of the policy has no effect.
 
 mod admission;
+mod camera;
 mod changes;
 mod file;
 mod recorder;
@@ -12,6 +13,7 @@ mod relation;
 mod tests;
 
 pub use admission::{Admission, admit};
+pub use camera::{CameraCheck, CellImage, compare_camera};
 pub use recorder::Recorder;
 
 use serde_json::Value as Json;

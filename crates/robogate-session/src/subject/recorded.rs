@@ -134,7 +134,7 @@ impl Subject {
     ) -> Result<Self, Failure> {
         let Permit { environment: permitted, robot: permitted_robot, location, mut simulators } =
             opening.permit(folder, provenance, &programs_of(&world))?;
-        let World { mut place, policy, execution, stress, controls, .. } = world;
+        let World { mut place, policy, execution, stress, warner, controls, .. } = world;
         let policy = policy.as_ref().map(PolicySource::recorded).transpose()?;
         if let Some(policy) = &policy {
             simulators.loads = policy.loaded(&location).or_request()?;
@@ -234,7 +234,7 @@ impl Subject {
             }
             None => location.unused().map(|()| None)?,
         };
-        let subject = Self::new(environment, policy)?.executed(execution)?.stressed(stress)?;
+        let subject = Self::new(environment, policy)?.executed(execution)?.stressed(stress)?.warned(warner)?;
         Ok(Self { controls, recorded_robot, ..subject })
     }
 }
