@@ -27,7 +27,8 @@ use crate::ruled_out::RuledOut;
 use crate::scope::{Scope, expand};
 use crate::{
     Baseline, Bound, ConfidenceScore, Ending, Family, ForceLimitResult, GateError, Metric, Mode, NewCases, NominalRate,
-    Population, ProductionFigures, RealEvidence, Record, Requirement, Requirements, Trial, Twins, Verdict, WarnerEffect,
+    Population, ProductionFigures, RealEvidence, Record, Requirement, Requirements, Trial, Twins, Verdict,
+    WarnerEffect,
 };
 
 /// How the number of episodes was chosen. It determines which test is valid.

@@ -177,7 +177,7 @@ impl WarnerEffect {
             }
             _ if self.warned == 0 => format!(" {missed}"),
             _ if known == 0 => {
-                format!(" What they become without the warner is unknown: they did not run again. {missed}")
+                format!(" What they become without the warner is not recorded here. {missed}")
             }
             OnWarning::Slow(_) => format!(
                 " Run again without the warner, {} of them fail, of which {} succeed in slow motion (avoided failures), and {} succeed, of \
@@ -213,9 +213,10 @@ impl WarnerEffect {
         let would_succeed = Trials::new(falsely, without.successes).unwrap_or(Trials::NONE);
         // The two-sided interval of 90 % has 5 % on each side.
         let level = Confidence::new(0.9).unwrap_or(Confidence::P95);
-        let promise = self.warner.promised.map_or_else(String::new, |promised| {
-            format!("; the detector promises at most {}", percent(promised))
-        });
+        let promise = self
+            .warner
+            .promised
+            .map_or_else(String::new, |promised| format!("; the detector promises at most {}", percent(promised)));
         if without.successes > 0 {
             lines.push(format!(
                 "{} of {} that succeed without the warner are warned: {}, at most {} with 95 % confidence{promise}.",

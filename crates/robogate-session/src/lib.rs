@@ -39,6 +39,7 @@ mod pictures;
 mod policy_record;
 mod policy_source;
 mod registry;
+mod rehearsal;
 mod remote;
 mod renderer;
 mod reopening;
@@ -93,6 +94,7 @@ pub use policy_source::{
 pub use registry::{
     ARM_TASKS, CELL_TASK, ENGINES, EngineEntry, POLICIES, TASKS, arm_task, has_robots, spaces, task, tasks,
 };
+pub use rehearsal::{Rehearsal, is_rehearsed};
 pub use remote::{CellTask, PhysicsHost, Simulators};
 pub use reopening::{Permit, Program, Reopening, Trust};
 pub use repetition::repeats;

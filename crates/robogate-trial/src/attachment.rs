@@ -89,7 +89,8 @@ pub fn check_attachments(folder: &Path, study: &Study) -> Result<u64, Problem> {
         for attachment in &attempt.attachments {
             let lost = |path: PathBuf, reason: &str| Problem::Attachment { path, reason: reason.to_owned() };
             let path = attachment.path(folder, &attempt.code);
-            let path = path.ok_or_else(|| lost(folder.join(ATTACHMENTS), "the journal has a name that leads out of it"))?;
+            let path =
+                path.ok_or_else(|| lost(folder.join(ATTACHMENTS), "the journal has a name that leads out of it"))?;
             let regular = fs::symlink_metadata(&path).is_ok_and(|of| of.is_file() && of.len() == attachment.bytes);
             if !regular {
                 return Err(lost(path, "it is missing, or has another size than the journal says"));
@@ -171,8 +172,14 @@ mod tests {
 
     #[test]
     fn names_stay_inside() {
-        for (name, inside) in [("a.csv", true), ("set/meta/info.json", true), ("../a", false), ("/etc", false), ("a//b", false), ("a\nb", false)]
-        {
+        for (name, inside) in [
+            ("a.csv", true),
+            ("set/meta/info.json", true),
+            ("../a", false),
+            ("/etc", false),
+            ("a//b", false),
+            ("a\nb", false),
+        ] {
             assert_eq!(is_inside(name), inside, "{name:?}");
         }
     }

@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::decide::Judge;
 use crate::{
-    Attachment, BlockResults, Codes, Decision, Event, Measured, Moment, Outcome, Plan, Planned, Problem, Record, Secret, VoidBy,
-    order,
+    Attachment, BlockResults, Codes, Decision, Event, Measured, Moment, Outcome, Plan, Planned, Problem, Record,
+    Secret, VoidBy, order,
 };
 
 /// Longest note or reason, in bytes.

@@ -49,7 +49,15 @@ pub struct World {
 impl World {
     /// The scripted controller in this place.
     pub fn new(place: Place) -> Self {
-        Self { version: WORLD_VERSION, place, policy: None, execution: None, stress: None, warner: None, controls: None }
+        Self {
+            version: WORLD_VERSION,
+            place,
+            policy: None,
+            execution: None,
+            stress: None,
+            warner: None,
+            controls: None,
+        }
     }
 
     /// This record without the versions of installed packages, to compare two records: other versions can compute the same episodes.

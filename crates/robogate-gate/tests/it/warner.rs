@@ -42,7 +42,9 @@ fn stops_are_counted_apart() {
     let without = effect.without.as_ref().unwrap();
     assert_eq!((effect.with.successes, without.successes, without.failures["jam"]), (1, 2, 3));
     let text = effect.lines().join("\n");
-    for part in ["3 of 5 episodes were stopped", "2 of them fail (avoided", "1 succeed (false stops)", "jam 1 in place of 3"] {
+    for part in
+        ["3 of 5 episodes were stopped", "2 of them fail (avoided", "1 succeed (false stops)", "jam 1 in place of 3"]
+    {
         assert!(text.contains(part), "{part}: {text}");
     }
 
@@ -53,8 +55,7 @@ fn stops_are_counted_apart() {
 
 #[test]
 fn slow_motion_can_save_and_spoil() {
-    let trials =
-        [ended(0, Ending::Success, true), ended(1, failure(JAM), true), ended(2, failure(JAM), true)];
+    let trials = [ended(0, Ending::Success, true), ended(1, failure(JAM), true), ended(2, failure(JAM), true)];
     let unwarned = BTreeMap::from([(0, "jam"), (1, "jam"), (2, "success")].map(|(index, end)| (index, end.to_owned())));
     let effect = WarnerEffect::of(&acting(OnWarning::Slow(2)), trials.iter(), &unwarned);
     assert_eq!((effect.avoided, effect.not_avoided, effect.false_warnings, effect.spoiled), (1, 1, 1, 1));

@@ -322,8 +322,8 @@ async fn respond(server: &Server, request: Request<Incoming>) -> Reply {
         (&Method::GET, "/page.css") => reply(StatusCode::OK, "text/css; charset=utf-8", STYLE),
         (
             _,
-            "/v1/cycles" | "/v1/periods" | "/v1/status" | "/v1/fleet" | "/v1/replay" | "/metrics" | "/healthz" | "/page.js"
-            | "/page.css" | "/replay" | "/",
+            "/v1/cycles" | "/v1/periods" | "/v1/status" | "/v1/fleet" | "/v1/replay" | "/metrics" | "/healthz"
+            | "/page.js" | "/page.css" | "/replay" | "/",
         ) => refusal(StatusCode::METHOD_NOT_ALLOWED, "this path does not support this method"),
         _ => refusal(StatusCode::NOT_FOUND, "not found; the page is at /"),
     }

@@ -387,9 +387,9 @@ impl Store {
         let mut tally = *tally;
         self.set_fact(&format!("warner:{sha256}:suspended"), tally.suspended.into())?;
         let counts = tally.counts_mut();
-        counts.into_iter().try_for_each(|(name, count)| {
-            self.set_fact(&format!("warner:{sha256}:{name}"), count.cast_signed())
-        })
+        counts
+            .into_iter()
+            .try_for_each(|(name, count)| self.set_fact(&format!("warner:{sha256}:{name}"), count.cast_signed()))
     }
 
     /// The number of the newest cycle. 0 without cycles.

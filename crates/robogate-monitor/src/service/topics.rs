@@ -159,7 +159,8 @@ impl TopicMap {
         });
         let options = [Some(&self.success), self.id.as_ref(), self.failure_mode.as_ref(), self.cycle_time_s.as_ref()];
         let period = self.period.iter();
-        let vectors = period.clone().flat_map(|of| of.observation.values().chain(of.command.values()).chain(&of.gripper));
+        let vectors =
+            period.clone().flat_map(|of| of.observation.values().chain(of.command.values()).chain(&of.gripper));
         let picked = options.into_iter().flatten().chain(self.events.values()).chain(self.parameters.values());
         let picked = picked.chain(vectors);
         let places = names.chain(picked.filter_map(|picked| match picked {

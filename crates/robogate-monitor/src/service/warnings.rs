@@ -227,7 +227,8 @@ impl Warnings {
     }
 
     fn raised(&self, robot: &str, at_s: f64, time_s: f64) -> Alarm {
-        let Tally { quiet_successes, warned_successes, warned_failures, missed_failures, stopped, .. } = *self.feed.tally();
+        let Tally { quiet_successes, warned_successes, warned_failures, missed_failures, stopped, .. } =
+            *self.feed.tally();
         let episodes = quiet_successes + warned_successes + warned_failures + missed_failures + stopped;
         let promised = 100.0 * self.feed.file().calibration.promised;
         Alarm {
@@ -241,7 +242,9 @@ impl Warnings {
             robot: robot.to_owned(),
             time_s,
             what: format!("the episode of {robot} may fail: warned {at_s:.2} s after its start"),
-            how_sure: format!("at most {promised} % of successful episodes are warned, with 95 % confidence over the calibration"),
+            how_sure: format!(
+                "at most {promised} % of successful episodes are warned, with 95 % confidence over the calibration"
+            ),
             since: None,
             look_at: Vec::new(),
         }

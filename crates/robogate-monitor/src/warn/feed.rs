@@ -235,7 +235,8 @@ impl Feed {
             let warned = warned.is_some();
             say(FeedEvent::Ended { robot: period.robot.clone(), end: end.clone(), warned, lead_s });
             if begins {
-                let suspended = "more successes are warned than promised: engine, policy or population differ from the calibration";
+                let suspended =
+                    "more successes are warned than promised: engine, policy or population differ from the calibration";
                 say(FeedEvent::Suspended { suspended, episodes: *tally });
             }
             robot.start(&[]);

@@ -2,9 +2,7 @@
 
 use robogate_core::{SignalGroup, SignalKind, Signals};
 use robogate_monitor::service::{HttpSettings, Periods, StoreSettings, TopicMap, TopicReader};
-use robogate_monitor::warn::{
-    Baselines, Calibration, Conditions, Distance, Features, Moments, Period, WarnFile,
-};
+use robogate_monitor::warn::{Baselines, Calibration, Conditions, Distance, Features, Moments, Period, WarnFile};
 use serde_json::{Value, json};
 
 use crate::common::{Service, cycles, get, intake, post};
@@ -16,9 +14,18 @@ pub(crate) fn detector() -> WarnFile {
     let text = || "any".to_owned();
     WarnFile {
         warn_format: WarnFile::FORMAT,
-        conditions: Conditions { task: "push 1".to_owned(), engine: text(), robot: text(), policy: text(), population: text() },
+        conditions: Conditions {
+            task: "push 1".to_owned(),
+            engine: text(),
+            robot: text(),
+            policy: text(),
+            population: text(),
+        },
         runs: Vec::new(),
-        features: Features { signals: Signals { period_s: 0.1, groups, gripper_in_vector: None }, parameters: Vec::new() },
+        features: Features {
+            signals: Signals { period_s: 0.1, groups, gripper_in_vector: None },
+            parameters: Vec::new(),
+        },
         known: Vec::new(),
         trees: Vec::new(),
         distance: Some(Distance {
@@ -78,8 +85,12 @@ fn warnings_are_sent_stored_and_counted() {
     };
     let now = status(&service);
     assert_eq!(counts(&now), [1, 1, 1]);
-    let alarms: Vec<(&str, &str)> =
-        now["alarms"].as_array().unwrap().iter().map(|a| (a["metric"].as_str().unwrap(), a["happening"].as_str().unwrap())).collect();
+    let alarms: Vec<(&str, &str)> = now["alarms"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|a| (a["metric"].as_str().unwrap(), a["happening"].as_str().unwrap()))
+        .collect();
     assert_eq!(alarms, [("warning", "cleared"), ("warning", "raised")]);
     assert_eq!(now["alarms"][1]["time_s"], 1_760_000_000.5);
     let (_, text) = get(to, "/metrics");
@@ -116,7 +127,10 @@ fn warnings_are_suspended_at_a_shift() {
     // Both recipes have an alarm now; another one has none.
     assert_eq!((warned("part-0"), warned("bracket")), ((0, 1), (1, 0)));
     let now = status(&service);
-    assert_eq!((&now["warnings"]["shifted"], &now["warnings"]["suppressed"]), (&json!(["part-0", "part-1"]), &json!(1)));
+    assert_eq!(
+        (&now["warnings"]["shifted"], &now["warnings"]["suppressed"]),
+        (&json!(["part-0", "part-1"]), &json!(1))
+    );
     // The suppressed warning counts as one.
     assert_eq!(now["warnings"]["episodes"]["warned_failures"], 3);
     service.end();
@@ -134,7 +148,8 @@ fn broken_promise_suspends_all_warnings() {
     assert_eq!(last["warnings"], json!([]), "suspended");
     let now = status(&service);
     assert_eq!(now["warnings"]["episodes"]["suspended"], true);
-    let suspended = now["alarms"].as_array().unwrap().iter().any(|a| a["what"].as_str().unwrap().contains("are suspended"));
+    let suspended =
+        now["alarms"].as_array().unwrap().iter().any(|a| a["what"].as_str().unwrap().contains("are suspended"));
     assert!(suspended, "{now}");
     assert!(get(to, "/metrics").1.contains("robogate_monitor_warnings_suspended 1"));
     service.end();

@@ -40,7 +40,8 @@ pub fn compare_camera(
 ) -> CameraCheck {
     let mut check = CameraCheck::default();
     let cameras = &judged.profile.cameras;
-    let Some(camera) = cameras.iter().find(|of| of.key == name || of.from == name || of.or_from.iter().any(|n| n == name))
+    let Some(camera) =
+        cameras.iter().find(|of| of.key == name || of.from == name || of.or_from.iter().any(|n| n == name))
     else {
         let known: Vec<&str> = cameras.iter().map(|of| of.key.as_str()).collect();
         let known = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
@@ -58,7 +59,8 @@ pub fn compare_camera(
         return check;
     };
     let images = judged.probes.iter().flat_map(|probe| &probe.query.images);
-    let seen: Vec<Vec<f64>> = images.filter(|(key, _)| *key == camera.key).filter_map(|(_, array)| small(array)).collect();
+    let seen: Vec<Vec<f64>> =
+        images.filter(|(key, _)| *key == camera.key).filter_map(|(_, array)| small(array)).collect();
     let score = |array: &Array| {
         let own = small(array)?;
         Some(seen.iter().map(|one| correlation(&own, one)).fold(f64::NEG_INFINITY, f64::max))

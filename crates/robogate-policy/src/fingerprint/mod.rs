@@ -46,6 +46,11 @@ pub trait Asked {
 
     /// What the policy reports about itself.
     fn declared(&self) -> &Json;
+
+    /// Whether it answers other requests than the recorded ones. Otherwise no cause is looked for by changing requests.
+    fn takes_changed_requests(&self) -> bool {
+        true
+    }
 }
 
 impl Asked for ExternalPolicy {
@@ -105,7 +110,7 @@ impl Fingerprint {
             for _ in ANSWERS[0]..ANSWERS[1] {
                 fingerprint.probes.iter_mut().try_for_each(&mut ask)?;
             }
-        } else if let Some(first) = fingerprint.probes.first() {
+        } else if let Some(first) = fingerprint.probes.first().filter(|_| policy.takes_changed_requests()) {
             for input in changes::inputs(&first.query) {
                 if fingerprint.is_used(&input, policy)? {
                     fingerprint.used.push(input);

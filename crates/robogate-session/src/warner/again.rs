@@ -59,8 +59,9 @@ pub fn unwarned(folder: &Path, dictionary: &Dictionary) -> Result<Vec<UnwarnedEn
     }
     let text = read_regular_text(&path).with_context(|| format!("cannot read {}", path.display())).or_request()?;
     let hint = "Hint: remove it; `robogate resume` on the folder makes it again";
-    let file: File =
-        serde_json::from_str(&text).with_context(|| format!("{}: not readable\n{hint}", path.display())).or_request()?;
+    let file: File = serde_json::from_str(&text)
+        .with_context(|| format!("{}: not readable\n{hint}", path.display()))
+        .or_request()?;
     if file.format != FORMAT || file.dataset_sha256 != dictionary.dataset_hash() {
         return Err(anyhow::anyhow!("{}: it belongs to other rows than those of the run\n{hint}", path.display()))
             .or_request();

@@ -12,8 +12,8 @@ use anyhow::{Context, anyhow, bail};
 use robogate_core::latency::Execution;
 use robogate_core::stress::Stress;
 use robogate_core::{
-    Action, Better, Ending, Environment, FailureMode, FailureModeSpec, Fault, MeasureSpec, Measures, Observation, Policy,
-    Scenario, Severity, Signals, Start, Step, TaskSpec, Word,
+    Action, Better, Ending, Environment, FailureMode, FailureModeSpec, Fault, MeasureSpec, Measures, Observation,
+    Policy, Scenario, Severity, Signals, Start, Step, TaskSpec, Word,
 };
 use robogate_dictionary::{OnWarning, WarnerRecord, hex, read_text};
 use robogate_gate::{HANDOVER, WARNED_S, WARNED_STOP};
@@ -23,8 +23,8 @@ use sha2::{Digest, Sha256};
 use crate::failure::{Failure, OrFailure};
 use crate::notice::note;
 
-pub use again::{UnwarnedEnd, unwarned, warner_effect_of};
 pub(crate) use again::WarnedAgain;
+pub use again::{UnwarnedEnd, unwarned, warner_effect_of};
 use slow::Slowed;
 
 /// The measure that counts how often a person helped.
@@ -52,7 +52,11 @@ pub fn on_warning(text: &str) -> Result<OnWarning, String> {
         ("handover", "") => Some(OnWarning::Handover),
         _ => None,
     };
-    known.ok_or_else(|| format!("`{text}` is not known. Expected stop, slow, slow:N with N from 2 to {MOST_PERIODS}, handover or record"))
+    known.ok_or_else(|| {
+        format!(
+            "`{text}` is not known. Expected stop, slow, slow:N with N from 2 to {MOST_PERIODS}, handover or record"
+        )
+    })
 }
 
 /// Reads the file of a detector, and its text.
@@ -111,12 +115,7 @@ impl SimulatedWarner {
         if let OnWarning::Slow(_) = record.on_warning {
             given.can_slow_down().or_request()?;
         }
-        Ok(Self {
-            record,
-            file: Arc::new(file),
-            detector: Arc::new(detector),
-            acts: Arc::new(AtomicBool::new(true)),
-        })
+        Ok(Self { record, file: Arc::new(file), detector: Arc::new(detector), acts: Arc::new(AtomicBool::new(true)) })
     }
 
     /// What the run records.
@@ -234,11 +233,15 @@ impl Given<'_> {
     fn can_slow_down(&self) -> anyhow::Result<()> {
         let hint = "Hint: use --on-warning stop or handover";
         if self.inside {
-            bail!("--on-warning slow: the environment runs the policy itself, so its actions cannot be slowed down\n{hint}");
+            bail!(
+                "--on-warning slow: the environment runs the policy itself, so its actions cannot be slowed down\n{hint}"
+            );
         }
         let delayed = self.stress.iter().flat_map(|stress| &stress.parameters).any(|name| name.contains("delayed"));
         if self.execution.is_some() || delayed {
-            bail!("--on-warning slow: with a latency or delays, these would be slowed down too\n{hint}, or leave them out");
+            bail!(
+                "--on-warning slow: with a latency or delays, these would be slowed down too\n{hint}, or leave them out"
+            );
         }
         slow::check(&self.task.action).map_err(|why| anyhow!("--on-warning slow: {why}\n{hint}"))
     }

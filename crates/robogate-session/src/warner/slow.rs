@@ -17,7 +17,8 @@ const FORCES: [&str; 4] = ["torque", "force", "effort", "current"];
 pub(super) fn check(spec: &ActionSpec) -> Result<(), String> {
     let names = spec.vector_names().unwrap_or_default();
     let force = names.iter().find(|name| FORCES.iter().any(|of| name.to_ascii_lowercase().contains(of)));
-    force.map_or(Ok(()), |name| Err(format!("`{name}` of the action is a force, and a part of it is not a slow motion")))
+    force
+        .map_or(Ok(()), |name| Err(format!("`{name}` of the action is a force, and a part of it is not a slow motion")))
 }
 
 /// A policy in slow motion after a warning. It is asked again when its action is complete, and its clock runs with its actions.

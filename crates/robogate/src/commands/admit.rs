@@ -15,15 +15,15 @@ use robogate_policy::{
     Admission, Asked, Checkpoint, Chunk, ExternalPolicy, Fingerprint, PolicyError, Profile, Query, admit,
 };
 use robogate_session::{
-    CHECKPOINT, FINGERPRINT, MOST_FINGERPRINT_BYTES, checkpoint, policy_error, profile, read_checkpoint,
-    read_fingerprint,
+    CHECKPOINT, FINGERPRINT, MOST_FINGERPRINT_BYTES, Rehearsal, Reopening, checkpoint, is_rehearsed, policy_error,
+    profile, read_checkpoint, read_fingerprint,
 };
 use robogate_stats::format::{counted, number};
 use serde::Serialize;
 use sha2::{Digest, Sha256};
 
 use self::cell::CellArguments;
-use crate::arguments::AccessArguments;
+use crate::arguments::{AccessArguments, SimulatorArguments, TrustArguments};
 use crate::exit::{DONE, Exit, FAIL, INVALID, OrExit};
 use crate::number;
 use crate::terminal::{bold, foreign, line, note};
@@ -34,6 +34,9 @@ use crate::terminal::{bold, foreign, line, note};
 /// policy gets the same requests. If its answers differ, the command tries the usual mistakes (mirrored images, exchanged cameras,
 /// units, signs, order, normalisers, chunk length) and names those that explain the difference.
 ///
+/// A policy that the process of an environment runs (sb3:, lerobot:, a function) is asked by the start of some episodes: the same
+/// scenarios in the same environment, with the actions of the first control periods as answers.
+///
 /// With `gate --checkpoint`, and for policies that the environment's process loads, a gate also records the files of the checkpoint:
 /// settings, tensors, code. `--checkpoint` compares those of the cell, and loads none of them. `--camera`, `--latency`, `--robot` and
 /// `--rate` compare what the cell declares.
@@ -43,7 +46,8 @@ use crate::terminal::{bold, foreign, line, note};
 pub(crate) struct Admit {
     /// Folder of the gate or of its evidence, or a fingerprint file
     fingerprint: PathBuf,
-    /// The deployed policy: the address of its server, or an ONNX file
+    /// The deployed policy: the address of its server, or an ONNX file; for a gate whose environment ran the policy, the model of the cell
+    /// (sb3:PATH, lerobot:PATH), which runs in the environment of the gate
     #[arg(long, value_name = "POLICY", required_unless_present_any = ["checkpoint", "camera", "latency", "robot"])]
     policy: Option<String>,
     /// The folder or file of the deployed checkpoint, compared file by file with the one that the gate recorded
@@ -56,6 +60,14 @@ pub(crate) struct Admit {
     /// Control periods of the cell per second; another number than that of the judged task is refused; default: not checked
     #[arg(long, value_name = "HZ", requires = "policy", value_parser = number::positive)]
     rate: Option<f64>,
+    /// Start this environment, whose files must be those of the gate, for a policy that runs in its process; only needed for a gate that
+    /// you did not make on this machine
+    #[arg(long, value_name = "NAME", requires = "policy")]
+    env: Option<String>,
+    #[command(flatten)]
+    trust: TrustArguments,
+    #[command(flatten)]
+    simulators: SimulatorArguments,
     #[command(flatten)]
     cell: CellArguments,
     #[command(flatten)]
@@ -187,6 +199,19 @@ impl Admit {
             p_value: None,
             differences: vec![why],
         };
+        if is_rehearsed(judged) {
+            let opening = Reopening {
+                env: self.env.clone(),
+                trust: self.trust.choice(),
+                access: self.access.choice(),
+                simulators: self.simulators.choice(),
+                ..Reopening::none()
+            };
+            let mut policy = Rehearsal::deployed(&self.fingerprint, judged, policy, &opening)?;
+            let mut admission = admit(judged, &mut policy).map_err(policy_error)?;
+            admission.differences.splice(0..0, differences);
+            return Ok(admission);
+        }
         let mut answered = 0;
         let (profile, access) = (Arc::new(judged.profile.clone()), self.access.choice().access()?);
         let asked = ExternalPolicy::connect_with(policy, profile, access, &mut |_| {}).and_then(|mut policy| {

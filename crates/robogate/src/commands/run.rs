@@ -20,7 +20,9 @@ use robogate_gate::{ForceLimits, Sampling, WarnerEffect};
 use robogate_report::Watch;
 use robogate_stats::format::counted;
 
-use crate::arguments::{EnvironmentArguments, LatencyArguments, LocationArguments, PolicyArguments, TrustArguments, WarnerArguments};
+use crate::arguments::{
+    EnvironmentArguments, LatencyArguments, LocationArguments, PolicyArguments, TrustArguments, WarnerArguments,
+};
 use crate::commands::shard;
 use crate::exit::{DONE, Exit, INTERRUPTED, INVALID, OrExit};
 use crate::force_limits;

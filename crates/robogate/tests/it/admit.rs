@@ -132,7 +132,12 @@ fn declared_cell_is_compared() {
     );
     robogate_in(at, &line.split(' ').collect::<Vec<_>>());
     verb(at, "admit g --latency 90ms --robot franka", 0, &["ADMITTED: the cell", "is as the judged one"]);
-    verb(at, "admit g --latency 200ms", 1, &["the latency of the cell is 200 ms, 4 control periods", "judged with 80 ms"]);
+    verb(
+        at,
+        "admit g --latency 200ms",
+        1,
+        &["the latency of the cell is 200 ms, 4 control periods", "judged with 80 ms"],
+    );
     verb(at, "admit g --latency 0ms", 1, &["0 control periods"]);
     verb(at, "admit g --robot ur5e", 1, &["the robot of the cell is", "in place of"]);
     verb(at, "admit g --robot nobody", 2, &["--robot nobody"]);
@@ -151,7 +156,9 @@ fn declared_cell_is_compared() {
     verb(at, &format!("admit g --camera {camera}=small.png"), 1, &[small.as_str()]);
     verb(at, "admit g --camera rear=right.png", 1, &["the policy has no camera rear"]);
     fs::write(at.join("text.png"), "no image").unwrap();
-    for (place, why) in [("text.png", "not a PNG or JPEG image"), ("none.png", "cannot be read"), ("rtsp://x/1", "http or https")] {
+    for (place, why) in
+        [("text.png", "not a PNG or JPEG image"), ("none.png", "cannot be read"), ("rtsp://x/1", "http or https")]
+    {
         verb(at, &format!("admit g --camera {camera}={place}"), 2, &[why]);
     }
     verb(at, "admit g --camera right.png", 2, &["expected NAME=FILE"]);

@@ -135,10 +135,14 @@ fn warner_acts_in_the_episodes_of_a_run() {
     };
     run("-n 10 --seed 4 --out plain");
     let successes = outcomes("plain").iter().filter(|outcome| *outcome == "success").count() as u64;
-    let document = run("-n 10 --seed 4 --out stopped --warner always.json --on-warning stop --threads 1 --record-signals");
+    let document =
+        run("-n 10 --seed 4 --out stopped --warner always.json --on-warning stop --threads 1 --record-signals");
     assert!(outcomes("stopped").iter().all(|outcome| outcome == "warned_stop"));
     let warner = &document["warner"];
-    assert_eq!((warner["false_warnings"].as_u64(), warner["avoided"].as_u64()), (Some(successes), Some(10 - successes)));
+    assert_eq!(
+        (warner["false_warnings"].as_u64(), warner["avoided"].as_u64()),
+        (Some(successes), Some(10 - successes))
+    );
     assert_eq!(warner["without"]["successes"], successes);
     let page = fs::read_to_string(at.join("stopped/report.html")).unwrap();
     assert!(page.contains("10 of 10 episodes were stopped at a warning"), "the page says it");
@@ -167,8 +171,13 @@ fn warner_acts_in_the_episodes_of_a_run() {
     assert_eq!(document["warner"]["ended"], 3);
     let document = run("-n 3 --seed 4 --out slow --warner always.json --on-warning slow");
     assert_eq!((&document["warner"]["ended"], &document["warner"]["warned"]), (&0.into(), &3.into()));
-    fs::write(at.join("q.toml"), "name = \"q\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"success\"\nat_least = 0.5\n").unwrap();
-    let line = "gate --space grip.toml --rounds 1 --requirements q.toml --out g --warner always.json --on-warning stop -q";
+    fs::write(
+        at.join("q.toml"),
+        "name = \"q\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"success\"\nat_least = 0.5\n",
+    )
+    .unwrap();
+    let line =
+        "gate --space grip.toml --rounds 1 --requirements q.toml --out g --warner always.json --on-warning stop -q";
     verb(at, line, 1, &["were stopped at a warning", "without it, success is"]);
     verb(at, "evidence g e", 0, &[]);
     verb(at, "verify e", 0, &["were stopped at a warning"]);
@@ -177,6 +186,11 @@ fn warner_acts_in_the_episodes_of_a_run() {
     verb(at, "run -n 2 --warner q.toml --on-warning stop --out x", 2, &["not a detector", "Hint: "]);
     verb(at, "run -n 2 --warner w.json --on-warning halt --out x", 2, &["handover"]);
     verb(at, "run --task stacking -n 2 --warner w.json --on-warning stop --out x", 2, &["other signals", "Hint: "]);
-    verb(at, "run -n 2 --warner w.json --on-warning slow --latency fixed:80ms --out x", 2, &["slowed down too", "Hint: "]);
+    verb(
+        at,
+        "run -n 2 --warner w.json --on-warning slow --latency fixed:80ms --out x",
+        2,
+        &["slowed down too", "Hint: "],
+    );
     verb(at, "gate --run g --warner w.json --on-warning stop", 2, &["cannot be used with --run", "Hint: "]);
 }

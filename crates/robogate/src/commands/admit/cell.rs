@@ -118,9 +118,15 @@ fn of_camera(camera: &str, judged: &Provenance, fingerprint: Option<&Fingerprint
 fn image(place: &str) -> anyhow::Result<CellImage> {
     let mut bytes = Vec::new();
     if place.starts_with("http://") || place.starts_with("https://") {
-        let agent: ureq::Agent = ureq::Agent::config_builder().timeout_global(Some(FETCH)).max_redirects(0).build().into();
+        let agent: ureq::Agent =
+            ureq::Agent::config_builder().timeout_global(Some(FETCH)).max_redirects(0).build().into();
         let mut answer = agent.get(place).call().map_err(|error| anyhow!("no image: {error}"))?;
-        bytes = answer.body_mut().with_config().limit(MOST_BYTES).read_to_vec().map_err(|error| anyhow!("no image: {error}"))?;
+        bytes = answer
+            .body_mut()
+            .with_config()
+            .limit(MOST_BYTES)
+            .read_to_vec()
+            .map_err(|error| anyhow!("no image: {error}"))?;
     } else if place.contains("://") {
         bail!("expected a file, or an address with http or https that answers with an image");
     } else {
@@ -224,7 +230,9 @@ fn of_robot(named: &str, judged: &Provenance) -> anyhow::Result<Option<String>> 
     let short = |sha256: &str| sha256.get(..12).unwrap_or(sha256).to_owned();
     let known = &judged.robot;
     let Some(files) = &known.sha256 else {
-        return Ok((named != known.name).then(|| format!("the robot of the cell is {named} in place of {}", known.name)));
+        return Ok(
+            (named != known.name).then(|| format!("the robot of the cell is {named} in place of {}", known.name))
+        );
     };
     let found = robot(named).with_context(|| {
         format!("--robot {named}: the gate recorded the files of the robot {}, and they are compared", known.name)

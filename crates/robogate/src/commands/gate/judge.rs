@@ -21,8 +21,7 @@ use crate::terminal::note;
 use crate::twins::NominalArguments;
 use robogate_session::text::quoted;
 use robogate_session::{
-    MARGIN, compared_with, judged, nominal_rate_of, open_source, question, record_of, twins_of,
-    warner_effect_of,
+    MARGIN, compared_with, judged, nominal_rate_of, open_source, question, record_of, twins_of, warner_effect_of,
 };
 
 impl Gate {

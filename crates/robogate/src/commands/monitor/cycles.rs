@@ -78,7 +78,9 @@ impl Cycles {
         };
         let read = match map {
             Some(map) => cycles(&self.recording, map, &mut print),
-            None => self.of_rows.cycles(&self.recording, &mut print).map(say_left_out).map_err(|why| format!("{why:#}")),
+            None => {
+                self.of_rows.cycles(&self.recording, &mut print).map(say_left_out).map_err(|why| format!("{why:#}"))
+            }
         };
         out.flush().context("stdout").or_broken()?;
         read.map_err(|because| Exit { code: INFRASTRUCTURE, error: anyhow!(because) })?;

@@ -57,11 +57,7 @@ impl OfRows {
     }
 
     /// Passes on the cycles of a dictionary. An invalid episode says nothing about the policy, and is left out. Returns their number.
-    pub(super) fn cycles(
-        &self,
-        path: &Path,
-        each: &mut dyn FnMut(Found) -> Result<(), String>,
-    ) -> anyhow::Result<u64> {
+    pub(super) fn cycles(&self, path: &Path, each: &mut dyn FnMut(Found) -> Result<(), String>) -> anyhow::Result<u64> {
         let source: Source = open_source(path)?;
         let dictionary = source.dictionary();
         let provenance = dictionary.provenance();

@@ -200,7 +200,10 @@ impl Serve {
             match end {
                 End::Periods(Ok([accepted, rejected, warnings])) => {
                     let counts = [accepted, rejected, warnings].map(grouped);
-                    note(format_args!("{} control periods accepted, {} rejected, {} warnings", counts[0], counts[1], counts[2]));
+                    note(format_args!(
+                        "{} control periods accepted, {} rejected, {} warnings",
+                        counts[0], counts[1], counts[2]
+                    ));
                     waits -= 1;
                     if rejected > 0 {
                         code = FAIL;
@@ -446,7 +449,10 @@ fn read_found(
         });
         if periods != [0; 3] {
             let counts = periods.map(grouped);
-            note(format_args!("{} control periods accepted, {} rejected, {} warnings", counts[0], counts[1], counts[2]));
+            note(format_args!(
+                "{} control periods accepted, {} rejected, {} warnings",
+                counts[0], counts[1], counts[2]
+            ));
         }
         // The cycles before a damaged place count.
         let read = flush(&mut waiting).and(read);
@@ -467,7 +473,8 @@ fn read_periods(path: PathBuf, engine: Handle, sender: Sender<End>) {
             let (mut counts, mut line, mut text) = ([0; 3], 0, Vec::new());
             loop {
                 text.clear();
-                let read = reader.by_ref().take(LONGEST_LINE as u64).read_until(b'\n', &mut text).map_err(unreadable)?;
+                let read =
+                    reader.by_ref().take(LONGEST_LINE as u64).read_until(b'\n', &mut text).map_err(unreadable)?;
                 if read == 0 {
                     return Ok(counts);
                 }

@@ -10,9 +10,7 @@ use robogate_campaign::folder::DICTIONARY;
 use robogate_core::{Assignment, Domain, ParameterSpace, Scenario, Signals, Word};
 use robogate_dictionary::{Dictionary, Entry, OnWarning, Provenance, hex};
 use robogate_gate::{WARNED_S, evidence};
-use robogate_monitor::warn::{
-    Conditions, Detector, EventRule, KnownParameter, MOST_SIGNALS, Scored, Track, score,
-};
+use robogate_monitor::warn::{Conditions, Detector, EventRule, KnownParameter, MOST_SIGNALS, Scored, Track, score};
 use robogate_session::{Reopening, SIGNALS, Subject, UnwarnedEnd, Workers, read_signals, unwarned};
 use robogate_stats::format::{count, counted};
 use sha2::{Digest, Sha256};
@@ -83,10 +81,7 @@ impl RunArguments {
         let parameters = varied(&provenance.space);
         let known = known(&parameters)?;
         // Without parameters, or with equal ones in all episodes, scenarios differ by their seed.
-        let differ = entries
-            .values()
-            .map(|entry| key(&entry.episode.scenario.requested))
-            .collect::<BTreeSet<_>>();
+        let differ = entries.values().map(|entry| key(&entry.episode.scenario.requested)).collect::<BTreeSet<_>>();
         let repeats = differ.len() > 1;
         let (mut tracks, mut foreign) = (Vec::new(), 0_u64);
         let acts = provenance.world.as_ref().and_then(|world| world.warner.as_ref());

@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use anyhow::anyhow;
 use clap::Args;
 use robogate_monitor::warn::{
-    Baselines, Calibration, EventRule, Features, KnownParameter, Model, PROMISED, Scored, Track, WarnFile,
-    calibrate, divided, train,
+    Baselines, Calibration, EventRule, Features, KnownParameter, Model, PROMISED, Scored, Track, WarnFile, calibrate,
+    divided, train,
 };
 use robogate_stats::boosting::{Boosting, Monotone, Options};
 

@@ -55,11 +55,10 @@ fn control_periods_of_a_file_are_watched() {
     let dir = tempfile::tempdir().unwrap();
     let folder = dir.path();
     fs::write(folder.join("w.json"), detector().to_string()).unwrap();
-    let period = |time_s: f64, position: f64| {
-        json!({ "robot": "a", "time_s": time_s, "observation": { "position": [position] }, "command": { "vector": [0.0] } })
-    };
+    let period = |time_s: f64, position: f64| json!({ "robot": "a", "time_s": time_s, "observation": { "position": [position] }, "command": { "vector": [0.0] } });
     let start = json!({ "robot": "a", "recipe": "bracket", "start": {}, "started_s": 1_795_254_000.0 });
-    let lines = [start, period(0.0, 0.1), period(0.1, 0.6), json!({ "robot": "a", "end": "jam" }), json!({ "robt": 1 })];
+    let lines =
+        [start, period(0.0, 0.1), period(0.1, 0.6), json!({ "robot": "a", "end": "jam" }), json!({ "robt": 1 })];
     let text: String = lines.iter().map(|line| format!("{line}\n")).collect();
     fs::write(folder.join("periods.jsonl"), text).unwrap();
     let output = robogate_in(folder, &["monitor", "serve", "--warner", "w.json", "--periods", "periods.jsonl"]);
@@ -84,7 +83,8 @@ fn imported_results_are_cycles() {
     fs::write(folder.join("arena.csv"), format!("policy,binary_success,mass_kg\n{rows}")).unwrap();
     let import = robogate_in(folder, &["import", "arena.csv", "rows.parquet"]);
     assert!(import.status.success(), "{}", text(&import));
-    let args = ["monitor", "cycles", "rows.parquet", "--robot", "cell-1", "--recipe", "bracket", "--since", "1795254000"];
+    let args =
+        ["monitor", "cycles", "rows.parquet", "--robot", "cell-1", "--recipe", "bracket", "--since", "1795254000"];
     let lines = robogate_in(folder, &args);
     assert_eq!(lines.status.code(), Some(0), "{}", stderr(&lines));
     let cycles: Vec<Value> = stdout(&lines).lines().map(|line| serde_json::from_str(line).unwrap()).collect();
