@@ -153,15 +153,14 @@ impl Warnings {
         for (line, period) in periods.lines {
             let mut events = Vec::new();
             let taken = period.and_then(|period| {
-                let taken = self.feed.hear(&period, &mut |event| events.push(event));
-                taken.map(|()| period).map_err(|error| error.to_string())
+                self.feed.hear(&period, &mut |event| events.push(event)).map_err(|error| error.to_string())
             });
             match taken {
-                Ok(period) => {
+                Ok(()) => {
                     heard.accepted += 1;
                     for event in events {
                         ended |= !matches!(event, FeedEvent::Warning { .. });
-                        self.follow(event, &period, periods.now_s, monitor, &mut heard, emit);
+                        self.follow(event, periods.now_s, monitor, &mut heard, emit);
                     }
                 }
                 Err(mut because) => {
@@ -180,7 +179,6 @@ impl Warnings {
     fn follow(
         &mut self,
         event: FeedEvent,
-        period: &Period,
         now_s: f64,
         monitor: &Monitor,
         heard: &mut HeardPeriods,
@@ -193,7 +191,7 @@ impl Warnings {
                     self.suppressed += 1;
                     return;
                 }
-                let time_s = period.started_s.map_or(now_s, |started_s| started_s + warning.time_s);
+                let time_s = self.feed.started_s(&robot).map_or(now_s, |started_s| started_s + warning.time_s);
                 let alarm = self.raised(&robot, warning.time_s, time_s);
                 emit(alarm.clone());
                 self.active.retain(|of| of.robot != robot);

@@ -125,6 +125,8 @@ pub enum FeedError {
 struct Robot {
     warner: Warner<Arc<Detector>>,
     recipe: Option<String>,
+    /// The start of this episode, in seconds since 1970, if it was given.
+    started_s: Option<f64>,
     /// Time of the last control period of this episode. `None` before the first.
     last_s: Option<f64>,
 }
@@ -132,7 +134,7 @@ struct Robot {
 impl Robot {
     fn start(&mut self, parameters: &[f64]) {
         self.warner.start(parameters);
-        self.last_s = None;
+        (self.last_s, self.started_s) = (None, None);
     }
 }
 
@@ -183,6 +185,11 @@ impl Feed {
         self.robots.get(robot)?.recipe.as_deref()
     }
 
+    /// The start of the episode of a robot, in seconds since 1970. `None` if it was not given.
+    pub fn started_s(&self, robot: &str) -> Option<f64> {
+        self.robots.get(robot)?.started_s
+    }
+
     /// Takes a control period, and calls `say` with what follows.
     ///
     /// # Errors
@@ -198,7 +205,7 @@ impl Feed {
                 return Err(FeedError::Robots);
             }
             let warner = Warner::new(Arc::clone(&self.detector), self.file.calibration.threshold);
-            self.robots.insert(period.robot.clone(), Robot { warner, recipe: None, last_s: None });
+            self.robots.insert(period.robot.clone(), Robot { warner, recipe: None, started_s: None, last_s: None });
         }
         let Self { file, robots, tally, row, .. } = self;
         let Some(robot) = robots.get_mut(&period.robot) else { return Ok(()) };
@@ -209,6 +216,7 @@ impl Feed {
             let values: Vec<f64> = file.known.iter().map(|of| number(of, parameters)).collect();
             robot.start(&values);
         }
+        robot.started_s = period.started_s.or(robot.started_s);
         if let Some(time_s) = period.time_s {
             if let Some(last_s) = robot.last_s.filter(|last_s| time_s <= *last_s) {
                 return Err(FeedError::Time { time_s, last_s });
@@ -224,7 +232,8 @@ impl Feed {
         if let Some(end) = &period.end {
             let last_s = robot.last_s.ok_or(FeedError::Unstarted)?;
             let warned = robot.warner.warned_s();
-            let lead_s = warned.map(|at_s| last_s - f64::from(at_s));
+            // Times of warnings are rounded to single precision.
+            let lead_s = warned.map(|at_s| (last_s - f64::from(at_s)).max(0.0));
             let begins = match end.as_str() {
                 STOPPED => {
                     tally.stopped += 1;

@@ -16,7 +16,7 @@ use robogate_campaign::{ActiveStage, Completion, DEFAULT_SEED, Event, Executor, 
 use robogate_core::stress::STRESS_PREFIX;
 use robogate_core::{FailureMode, ParameterSpace, TaskSpec};
 use robogate_dictionary::{Dictionary, OnWarning, Provenance};
-use robogate_gate::{ForceLimits, Sampling, WarnerEffect};
+use robogate_gate::{ForceLimits, Sampling};
 use robogate_report::Watch;
 use robogate_stats::format::counted;
 
@@ -31,7 +31,7 @@ use crate::number::{self, at_least_one};
 use crate::place;
 use crate::progress::Progress;
 use crate::summary;
-use crate::terminal::{Screen, grouped, note, percent, warning, wrapped};
+use crate::terminal::{Screen, grouped, note, percent, warning};
 use crate::twins::{self, NominalEpisodes, nominal_plan};
 use crate::watch::Frames;
 use robogate_session::text::quoted;
@@ -482,12 +482,11 @@ pub(crate) fn conclude(dir: &Path, completion: &Completion, subject: Option<&Sub
                 twins::write(dir, twins)?;
             }
             let analysis = write_report(dir, None, subject).map(|(analysis, _)| analysis);
+            let arms = summary::Arms { twins: twins.as_ref(), nominal: nominal.as_ref(), warner: warner.as_ref() };
             if json {
-                let arms = summary::Arms { twins: twins.as_ref(), nominal: nominal.as_ref(), warner: warner.as_ref() };
                 summary::json(dir, summary, boundary.as_deref(), arms, analysis.as_ref()).or_broken()?;
             } else {
-                summary::print(dir, summary, boundary.as_deref(), analysis.as_ref(), nominal.as_ref());
-                warner.iter().flat_map(WarnerEffect::lines).for_each(|text| wrapped(&text));
+                summary::print(dir, summary, boundary.as_deref(), analysis.as_ref(), &arms);
                 twins.iter().for_each(twins::print);
                 force_limits::print(&force_limits::of_run(Some(dir), &dictionary, None)?);
             }

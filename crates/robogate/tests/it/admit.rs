@@ -126,9 +126,14 @@ fn declared_cell_is_compared() {
     let dir = TempDir::new().unwrap();
     let at = dir.path();
     fs::write(at.join("two.toml"), TWO_SCENARIOS).unwrap();
+    fs::write(
+        at.join("half.toml"),
+        "name = \"half\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"success\"\nat_least = 0.2\n",
+    )
+    .unwrap();
     let judged = network("learned.onnx");
     let line = format!(
-        "gate --policy {judged} --profile learned --suite two.toml --rounds 1 --controls 0 --latency fixed:80ms --out g -q"
+        "gate --policy {judged} --profile learned --suite two.toml --requirements half.toml --rounds 1 --controls 0 --latency fixed:80ms --out g -q"
     );
     robogate_in(at, &line.split(' ').collect::<Vec<_>>());
     verb(at, "admit g --latency 90ms --robot franka", 0, &["ADMITTED: the cell", "is as the judged one"]);

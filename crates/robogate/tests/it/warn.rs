@@ -129,7 +129,7 @@ fn warner_acts_in_the_episodes_of_a_run() {
     fs::write(at.join("always.json"), file.to_string()).unwrap();
 
     let outcomes = |run: &str| {
-        let csv = verb(at, &format!("export {run} --format csv --out -"), 0, &[]);
+        let csv = verb(at, &format!("export {run} -"), 0, &[]);
         let column = csv.lines().next().unwrap().split(',').position(|name| name == "outcome").unwrap();
         csv.lines().skip(1).map(|row| row.split(',').nth(column).unwrap().to_owned()).collect::<Vec<_>>()
     };
