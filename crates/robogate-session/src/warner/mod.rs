@@ -247,6 +247,13 @@ impl Given<'_> {
     }
 }
 
+/// A hash of an observation, by which episodes that a warning ends at once differ.
+fn hash_of(observation: &Observation) -> u64 {
+    let numbers = observation.vectors.iter().flat_map(|(_, values)| values);
+    // FNV-1a over the numbers.
+    numbers.fold(0xcbf2_9ce4_8422_2325, |hash, x| (hash ^ x.to_bits()).wrapping_mul(0x0000_0100_0000_01b3))
+}
+
 /// An environment beside whose policy a detector runs.
 struct Warned {
     environment: Box<dyn Environment>,
@@ -306,7 +313,8 @@ impl Environment for Warned {
         let known: Vec<f64> = self.file.known.iter().map(|of| of.number_in(&scenario.requested)).collect();
         self.warner.start(&known);
         self.observation = start.observation.clone();
-        (self.measures, self.state_hash, self.warned_s) = (Measures::default(), 0, None);
+        (self.measures, self.warned_s) = (Measures::default(), None);
+        self.state_hash = hash_of(&start.observation);
         Ok(start)
     }
 
