@@ -171,11 +171,13 @@ function outside(o) {
     ? `${o.parameter} ${range || o.word || ""} in ${whole(o.cycles)} cycles; validated: ${valid}`
     : `${whole(o.cycles)} cycles with a combination of parameters outside the validated region`);
 }
+// The cycle of an alarm. A warning belongs to an episode that has no cycle yet.
+const place = a => a.metric === "warning" ? `episode ${whole(a.cycle)}` : `cycle ${whole(a.cycle)}`;
 // Alarms of one metric belong to one event until all of them are cleared.
 function events(alarms) {
   const all = [], open = new Map();
   for (const a of [...alarms].reverse()) {
-    const key = [a.recipe, a.metric, a.metric === "robot" ? a.robot : ""].join("\n");
+    const key = [a.recipe, a.metric, ["robot", "warning"].includes(a.metric) ? a.robot : ""].join("\n");
     let event = open.get(key);
     if (!event) {
       event = { alarms: [], active: new Set() };
@@ -194,7 +196,8 @@ function happened(event) {
   const node = alarm(lead, level || "cleared", level);
   const steps = event.alarms.filter(a => a !== lead || event.alarms.length > 1);
   if (steps.length) node.append(el("ol", { class: "dim" }, ...steps.map(a => el("li", {},
-    `${time(a.time_s)} UTC, cycle ${whole(a.cycle)}: ${a.level} ${a.happening}`))));
+    `${time(a.time_s)} UTC, ${place(a)}: `, ...(a.metric === "warning" && a.happening === "cleared" ? said(a.what) : [`${a.level} ${a.happening}`])))));
+  if (lead.metric === "warning") return node;
   const link = el("button", { class: "link", type: "button", "data-key": "around " + lead.id }, "Show its cycles");
   link.addEventListener("click", () => around(lead));
   const known = current.recipes.find(r => r.recipe === lead.recipe);
@@ -256,8 +259,7 @@ function alarm(a, word, level) {
   return el("section", { class: "card" },
     el("h3", {}, el("span", {}, `${a.recipe}: `, ...said(a.what)),
       el("span", { class: level || "dim" }, word)),
-    el("div", { class: "dim" }, `${time(a.time_s)} UTC, cycle ${whole(a.cycle)} ` +
-      `(${a.cycle_id}), ${a.robot}`),
+    el("div", { class: "dim" }, `${time(a.time_s)} UTC, ${place(a)}${a.cycle_id && ` (${a.cycle_id})`}, ${a.robot}`),
     ...(since ? [el("div", {}, since)] : []), el("div", {}, ...said(a.how_sure)),
     ...(a.look_at.length ? [el("ul", {}, ...a.look_at.map(text => el("li", {}, text)))] : []));
 }

@@ -205,7 +205,7 @@ impl Warnings {
                 emit(Alarm {
                     id: format!("{}/cleared", raised.id),
                     happening: Happening::Cleared,
-                    time_s: now_s.max(raised.time_s),
+                    time_s: raised.time_s + lead_s.unwrap_or(0.0),
                     what: format!("the episode of {robot} ended with {end}{lead}"),
                     look_at: Vec::new(),
                     ..raised
