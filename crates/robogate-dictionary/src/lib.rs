@@ -55,6 +55,6 @@ pub use provenance::{
 pub use schema::{SCHEMA_VERSION, SchemaVersion};
 pub use text::{read_regular_text, read_text};
 pub use world::{
-    CellPlace, ComparedServers, ControlProblem, ControlResult, Controls, ExternalPolicyRecord, Place, PolicyRecord,
-    PythonPlace, RendererRecord, Repeats, WORLD_VERSION, World,
+    CellPlace, ComparedServers, ControlProblem, ControlResult, Controls, ExternalPolicyRecord, OnWarning, Place,
+    PolicyRecord, PythonPlace, RendererRecord, Repeats, WORLD_VERSION, WarnerRecord, World,
 };

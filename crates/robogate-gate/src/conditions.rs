@@ -36,6 +36,10 @@ impl Conditions {
             ("version of the engine".to_owned(), or_none(provenance.engine.version.clone())),
             ("robot's files".to_owned(), or_none(provenance.robot.sha256.clone())),
             ("latency".to_owned(), or_none(world.execution.as_ref().and_then(|of| serde_json::to_string(of).ok()))),
+            (
+                "warner".to_owned(),
+                or_none(world.warner.as_ref().map(|of| format!("{:?} {}", of.on_warning, of.sha256))),
+            ),
             ("stress".to_owned(), or_none(world.stress.as_ref().and_then(|of| serde_json::to_string(of).ok()))),
         ];
         if let Place::Python(python) = &world.place {

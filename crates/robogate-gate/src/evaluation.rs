@@ -7,6 +7,8 @@
 //!
 //! If each "met" must also hold on its own, [`Family::Holm`] adjusts these as well.
 
+use std::collections::BTreeMap;
+
 use robogate_core::{OutsideRange, TaskSpec, is_feasible};
 use robogate_dictionary::{Controls, Label, TaskIdentity};
 use robogate_stats::multiplicity::holm;
@@ -26,6 +28,7 @@ use crate::scope::{Scope, expand};
 use crate::{
     Baseline, Bound, ConfidenceScore, Ending, Family, ForceLimitResult, GateError, Metric, Mode, NewCases, NominalRate,
     Population, ProductionFigures, RealEvidence, Record, Requirement, Requirements, Trial, Twins, Verdict,
+    WarnerEffect,
 };
 
 /// How the number of episodes was chosen. It determines which test is valid.
@@ -232,6 +235,9 @@ pub struct Evaluation {
     /// The success rate with nothing varied. The verdict does not depend on it. `None` without such episodes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub nominal: Option<NominalRate>,
+    /// What a warner changed. The verdict applies to the policy with the warner. `None` if there was none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub warner: Option<WarnerEffect>,
     /// The mean share of control periods with an action outside of its range. `None` if it is not measured.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub clipped_actions: Option<f64>,
@@ -434,6 +440,7 @@ impl Question<'_> {
             changed_settings: changed_settings(&record.task),
             twins: None,
             nominal: None,
+            warner: record.warner.as_ref().map(|of| WarnerEffect::of(of, record.trials.iter(), &BTreeMap::new())),
             clipped_actions: clipped_actions(rounds.trials()),
             force_limits: requirements.force_limit.iter().map(|limit| limit.result(rounds.trials())).collect(),
         })

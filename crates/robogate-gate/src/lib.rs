@@ -51,6 +51,7 @@ mod score;
 mod trial;
 mod twins;
 mod verdict;
+mod warner;
 
 pub use asked::{Asked, AskedAgainst};
 pub use baseline::{Baseline, BaselineFigure};
@@ -89,5 +90,6 @@ pub use score::{ConfidenceScore, ScoreTerm, ScoredTerm, Scoring};
 pub use trial::{Ending, Trial};
 pub use twins::{Effect, Family as TwinFamily, Twins};
 pub use verdict::Verdict;
+pub use warner::{ActingWarner, Endings, HANDOVER, WARNED_S, WARNED_STOP, WarnerEffect};
 // A part of each evaluation.
 pub use robogate_dictionary::{Controls, Repeats};

@@ -20,7 +20,7 @@ use crate::cases::repeated;
 use crate::conditions::Conditions;
 use crate::dependence::{RowGroups, divide};
 use crate::figure::STAGE_SHARE;
-use crate::{Ending, GateError, RealEvidence, Sampling, Trial};
+use crate::{ActingWarner, Ending, GateError, RealEvidence, Sampling, Trial};
 
 /// The file with what repeats of the first episodes of a gate, which run again after the last one.
 pub const REPEATED: &str = "repeats.json";
@@ -204,6 +204,8 @@ pub struct Record {
     pub served: bool,
     /// What a success depends on besides the policy.
     pub conditions: Conditions,
+    /// The warner that acted in the episodes. `None` if there was none.
+    pub warner: Option<ActingWarner>,
 }
 
 impl Record {
@@ -239,6 +241,7 @@ impl Record {
             controls: provenance.controls().cloned(),
             served: is_served(provenance),
             conditions: Conditions::of(provenance),
+            warner: ActingWarner::of(provenance),
         })
     }
 
@@ -378,6 +381,7 @@ impl Record {
             controls: provenance.controls().cloned(),
             served: is_served(provenance),
             conditions: Conditions::of(provenance),
+            warner: ActingWarner::of(provenance),
             trials,
         };
         Ok(record.divided_again())

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use robogate_stats::format::percent;
 
-use crate::{Evaluation, Trial};
+use crate::{Evaluation, Trial, WarnerEffect};
 
 /// The measure of an environment with policies: the share of the control periods with an action outside of its range.
 pub const CLIPPED_ACTIONS: &str = "clipped_actions";
@@ -12,7 +12,7 @@ pub const CLIPPED_ACTIONS: &str = "clipped_actions";
 const MANY_CLIPPED: f64 = 0.05;
 
 impl Evaluation {
-    /// What a reader of the verdict must know about the episodes: changed settings, other conditions of a compared policy, the rate with
+    /// What a reader of the verdict must know about the episodes: changed settings, a warner, other conditions of a compared policy, the rate with
     /// nothing varied, and actions outside of their range.
     pub fn remarks(&self) -> Vec<String> {
         let many = self.clipped_actions.filter(|share| *share >= MANY_CLIPPED);
@@ -29,7 +29,9 @@ impl Evaluation {
         };
         let differs = self.comparison.iter().flat_map(|comparison| &comparison.differs);
         let differs = differs.map(|what| format!("The compared policies also differ in this: {what}"));
-        settings.into_iter().chain(differs).chain(self.nominal.map(|nominal| nominal.line())).chain(clipped).collect()
+        let warner = self.warner.iter().flat_map(WarnerEffect::lines);
+        let nominal = self.nominal.map(|nominal| nominal.line());
+        settings.into_iter().chain(warner).chain(differs).chain(nominal).chain(clipped).collect()
     }
 }
 

@@ -28,7 +28,10 @@ impl Chunk {
     }
 
     /// Create a chunk from a list of actions.
-    pub(crate) fn of_rows(rows: Vec<Vec<f64>>) -> Result<Self, PolicyError> {
+    ///
+    /// # Errors
+    /// No actions, or too many.
+    pub fn of_rows(rows: Vec<Vec<f64>>) -> Result<Self, PolicyError> {
         if rows.is_empty() || rows.len() > MAX_CHUNK {
             return Err(PolicyError::Shape(format!("the reply has {} actions. Expected 1 to {MAX_CHUNK}", rows.len())));
         }

@@ -26,7 +26,7 @@ mod text;
 mod watch;
 
 use robogate_analysis::PairCounts;
-use robogate_gate::{Evaluation, ForceLimitResult, NominalRate, Twins};
+use robogate_gate::{Evaluation, ForceLimitResult, NominalRate, Twins, WarnerEffect};
 
 pub use document::{RequalificationPage, answer_label};
 pub use figures::{FigureFile, figure_files};
@@ -69,6 +69,8 @@ pub struct Additions<'a> {
     pub twins: Option<&'a Twins>,
     /// The success rate with nothing varied.
     pub nominal: Option<NominalRate>,
+    /// What a warner changed.
+    pub warner: Option<&'a WarnerEffect>,
     /// The contacts that exceed each force limit.
     pub forces: &'a [ForceLimitResult],
     /// The risk model that chose the episodes.

@@ -16,9 +16,14 @@ use crate::failure::{Failure, OrFailure};
 use crate::nominal_episodes::{UNVARIED, nominal_suite};
 use crate::notice::note;
 use crate::subject::Subject;
+use crate::warner::WarnedAgain;
 
-/// The campaigns beside a campaign with twins: the control arm, and the episodes with one declared family of perturbations each.
-pub struct Arms(Vec<Arm>);
+/// The campaigns beside a campaign with twins: the control arm, and the episodes with one declared family of perturbations each. And
+/// the episodes that run again without a warner.
+pub struct Arms {
+    arms: Vec<Arm>,
+    warned: Option<WarnedAgain>,
+}
 
 struct Arm {
     kind: ArmKind,
@@ -105,27 +110,27 @@ impl Arms {
             subject.register(&folder, &provenance);
             arms.push(Arm { kind, folder, plan, provenance });
         }
-        Ok(Self(arms))
+        Ok(Self { arms, warned: subject.warned_again(dir) })
     }
 
     /// No arms.
     pub(crate) fn none() -> Self {
-        Self(Vec::new())
+        Self { arms: Vec::new(), warned: None }
     }
 
     /// Whether the campaign has no arms.
     pub(crate) fn is_empty(&self) -> bool {
-        self.0.is_empty()
+        self.arms.is_empty()
     }
 
     /// No arms, with a note.
     pub(crate) fn left_out(self) -> Self {
-        let names: Vec<&str> = self.0.iter().map(|arm| arm.kind.as_str()).collect();
+        let names: Vec<&str> = self.arms.iter().map(|arm| arm.kind.as_str()).collect();
         note(format_args!(
             "the {} does not run, because the invalid episodes rule out a pass",
             names.join(" and the ")
         ));
-        Self::none()
+        Self { arms: Vec::new(), ..self }
     }
 
     /// Runs or resumes the arms after their campaign. A campaign that was stopped has no arms yet.
@@ -136,7 +141,7 @@ impl Arms {
         events: &mut dyn FnMut(&Event),
     ) -> Result<Completion, RunError> {
         let Completion::Finished { summary, .. } = &campaign else { return Ok(campaign) };
-        for Arm { kind, folder, mut plan, provenance } in self.0 {
+        for Arm { kind, folder, mut plan, provenance } in self.arms {
             if let Some(stage) = plan.suite.as_mut().filter(|_| kind != ArmKind::Unvaried) {
                 as_many_rounds(stage, rounds_of(summary));
             }
@@ -150,7 +155,14 @@ impl Arms {
                 return Ok(done);
             }
         }
-        Ok(campaign)
+        let missing = self.warned.map_or(Ok(0), |warned| warned.run(executor))? as u64;
+        match campaign {
+            Completion::Finished { summary, .. } if missing > 0 => {
+                let episodes = summary.episodes + missing;
+                Ok(Completion::Interrupted { done: summary.episodes, episodes })
+            }
+            campaign => Ok(campaign),
+        }
     }
 }
 

@@ -58,18 +58,24 @@ impl Subject {
         }
     }
 
-    /// Asks a policy server or a network again what it was asked in some control periods of the episodes so far, and writes its
-    /// answers into the folder of the run. A failure is a note: the episodes have their result.
+    /// Asks a policy server or a network again what it was asked in some control periods of the episodes so far, and a policy in the
+    /// process of its environment by the start of some episodes, and writes the answers into the folder of the run. A failure is a note: the episodes have their result.
     pub fn write_fingerprint(&self, run: &Path) {
-        let Some(PolicySource::External(source)) = self.policy_source() else { return };
-        let queries = Recorder::take(self.recorder());
-        if queries.is_empty() {
-            return;
-        }
-        let write = || -> anyhow::Result<()> {
+        let measure = || -> anyhow::Result<Option<Fingerprint>> {
+            let Some(PolicySource::External(source)) = self.policy_source() else {
+                return self.rehearsed_fingerprint(run).map_err(|failure| failure.error);
+            };
+            let queries = Recorder::take(self.recorder());
+            if queries.is_empty() {
+                return Ok(None);
+            }
             let mut policy = source.connect()?;
             let period_s = self.task().control_period_s;
-            let bytes = Fingerprint::measure(queries, &mut policy, source.profile(), period_s)?.to_bytes()?;
+            Ok(Some(Fingerprint::measure(queries, &mut policy, source.profile(), period_s)?))
+        };
+        let write = || -> anyhow::Result<()> {
+            let Some(fingerprint) = measure()? else { return Ok(()) };
+            let bytes = fingerprint.to_bytes()?;
             files::write(run.join(FINGERPRINT), bytes)
                 .with_context(|| format!("cannot write {}", run.join(FINGERPRINT).display()))
         };
@@ -90,7 +96,7 @@ pub fn read_fingerprint(path: &Path) -> Result<Fingerprint, Failure> {
     let file = if path.is_dir() { path.join(FINGERPRINT) } else { path.to_owned() };
     if path.is_dir() && !file.exists() {
         return Err(anyhow!(
-            "{}: it has no {FINGERPRINT}\nHint: gates of a policy server or a network write one; run the gate again with this version",
+            "{}: it has no {FINGERPRINT}\nHint: gates of a policy that is not built in write one; run the gate again with this version",
             path.display()
         ))
         .or_request();

@@ -20,6 +20,7 @@ use crate::notice::warning;
 use crate::rival::Rival;
 use crate::rounds::Rounds;
 use crate::subject::Subject;
+use crate::warner::warner_effect_of;
 use crate::workers::Workers;
 
 /// The number of scenarios of a suite that is sampled from a space.
@@ -115,9 +116,11 @@ impl GateRequest {
             return Err(anyhow::anyhow!("stopped after {done} of {episodes} episodes")).or_broken();
         }
         let (asked, other) = rounds.end(&completion)?;
-        let record = judged(folder, &Dictionary::open(&folder.join(DICTIONARY)).or_broken()?, &asked)?;
+        let dictionary = Dictionary::open(&folder.join(DICTIONARY)).or_broken()?;
+        let record = judged(folder, &dictionary, &asked)?;
         let mut evaluation = question(&asked, other.as_ref()).evaluate(&record)?;
         evaluation.nominal = nominal_rate_of(folder)?;
+        evaluation.warner = warner_effect_of(folder, &dictionary)?;
         Ok(evaluation)
     }
 }

@@ -41,6 +41,7 @@ mod pictures;
 mod policy_record;
 mod policy_source;
 mod registry;
+mod rehearsal;
 mod remote;
 mod renderer;
 mod reopening;
@@ -59,6 +60,7 @@ mod subject;
 pub mod task_folder;
 pub mod text;
 mod twins;
+mod warner;
 mod workers;
 #[cfg(feature = "mujoco")]
 mod worlds;
@@ -95,6 +97,7 @@ pub use policy_source::{
 pub use registry::{
     ARM_TASKS, CELL_TASK, ENGINES, EngineEntry, POLICIES, TASKS, arm_task, has_robots, spaces, task, tasks,
 };
+pub use rehearsal::{Rehearsal, is_rehearsed};
 pub use remote::{CellTask, PhysicsHost, Simulators};
 pub use reopening::{Permit, Program, Reopening, Trust};
 pub use repetition::repeats;
@@ -115,6 +118,7 @@ pub use subject::{
     starts_processes,
 };
 pub use twins::twins_of;
+pub use warner::{UnwarnedEnd, WarnerChoice, on_warning, read_detector, unwarned, warner_effect_of};
 pub use workers::{Workers, guarded};
 
 /// The SHA-256 of the source files that results depend on.

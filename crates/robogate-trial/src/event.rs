@@ -3,7 +3,7 @@
 use robogate_core::Word;
 use serde::{Deserialize, Serialize};
 
-use crate::Secret;
+use crate::{Attachment, Secret};
 
 /// The time of an event. Durations are differences of `uptime_ms` within one boot, so that a changed clock does not reach them.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -111,6 +111,13 @@ pub enum Event {
         code: String,
         /// The measurements.
         measured: Measured,
+    },
+    /// A file was attached to a trial.
+    Attach {
+        /// The code of the trial.
+        code: String,
+        /// The file.
+        file: Attachment,
     },
     /// A script was told the policy of a trial.
     Told {

@@ -2,7 +2,8 @@
 
 use std::path::Path;
 
-use crate::{Command, Event, Journal, Measured, Moment, Plan, Problem, Record, Secret, Study, VoidBy};
+use crate::attachment::copied;
+use crate::{Attachment, Command, Event, Journal, Measured, Moment, Plan, Problem, Record, Secret, Study, VoidBy};
 
 /// Name of the plan in the folder of a study.
 pub const PLAN: &str = "plan.json";
@@ -95,6 +96,25 @@ impl Folder {
     /// If it cannot be written.
     pub fn measured(&mut self, code: &str, measured: Measured) -> Result<(), Problem> {
         self.append(Moment::now(), "", Event::Switch { code: code.to_owned(), measured })
+    }
+
+    /// Attaches a file, or all files of a folder, to a trial that has ended. The folder of the study gets a copy.
+    ///
+    /// # Errors
+    /// If there is no such trial, or a file cannot be read or copied.
+    pub fn attach(&mut self, path: &Path, code: &str, from: &Path) -> Result<Vec<Attachment>, Problem> {
+        match self.study.attempts().iter().find(|attempt| attempt.code == code) {
+            None => return Err(Problem::Refused(format!("there is no trial {code} that was started"))),
+            Some(attempt) if !attempt.stopped && attempt.void.is_none() => {
+                return Err(Problem::Refused(format!("trial {code} still runs. Attach files after its end")));
+            }
+            Some(_) => {}
+        }
+        let files = copied(path, code, from)?;
+        for file in &files {
+            self.append(Moment::now(), "", Event::Attach { code: code.to_owned(), file: file.clone() })?;
+        }
+        Ok(files)
     }
 
     /// The name of the policy of the present trial, for a script that starts it. The journal records that it was told.

@@ -6,6 +6,7 @@
 //! [`serve`] is the page for the operator's phone, and [`Switch`] connects the robot to the policy of the trial.
 
 mod answer;
+mod attachment;
 mod decide;
 mod event;
 mod expected;
@@ -24,6 +25,7 @@ mod table;
 use std::path::PathBuf;
 
 pub use answer::{Answer, answer};
+pub use attachment::{ATTACHMENTS, Attachment, check_attachments};
 pub use decide::{BlockResults, Decision, Judge, Verdict};
 pub use event::{Event, Measured, Moment, Outcome, Record, VoidBy};
 pub use expected::{expected, rules};
@@ -66,6 +68,17 @@ pub enum Problem {
         path: PathBuf,
         /// The line, from 1.
         line: u64,
+        /// What is wrong.
+        reason: String,
+    },
+    /// An attachment is missing or was changed.
+    #[error(
+        "{}: {reason}\nHint: restore the file that was attached; the results of the study do not depend on it",
+        path.display()
+    )]
+    Attachment {
+        /// The file.
+        path: PathBuf,
         /// What is wrong.
         reason: String,
     },

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 use robogate_stats::compare::fisher_exact;
-use robogate_stats::format::{counted, date, number, percent, significant};
+use robogate_stats::format::{count, counted, date, number, percent, significant};
 use robogate_stats::{Confidence, Trials, clopper_pearson};
 
 use crate::{Answer, Study, VoidBy};
@@ -45,6 +45,7 @@ pub fn report(study: &Study, answer: &Answer) -> String {
     drift(&mut out, study);
     operators(&mut out, study);
     invalid(&mut out, study);
+    attachments(&mut out, study);
     heading(&mut out, "Plan");
     out.push_str("<ul>");
     for rule in &plan.rules {
@@ -198,6 +199,24 @@ fn invalid(out: &mut String, study: &Study) {
     if !rows.is_empty() {
         heading(out, "Invalid trials");
         table(out, &["trial", "policy", "by", "reason"], rows.into_iter());
+    }
+}
+
+/// The files of the trials.
+fn attachments(out: &mut String, study: &Study) {
+    let rows: Vec<Vec<String>> = study
+        .attempts()
+        .iter()
+        .flat_map(|attempt| {
+            let policy = &study.plan.arms[study.planned(attempt).arm].name;
+            attempt.attachments.iter().map(move |of| {
+                vec![attempt.code.clone(), policy.clone(), of.name.clone(), count(of.bytes), of.sha256.clone()]
+            })
+        })
+        .collect();
+    if !rows.is_empty() {
+        heading(out, "Attachments");
+        table(out, &["trial", "policy", "file", "bytes", "SHA-256"], rows.into_iter());
     }
 }
 

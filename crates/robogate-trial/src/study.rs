@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::decide::Judge;
 use crate::{
-    BlockResults, Codes, Decision, Event, Measured, Moment, Outcome, Plan, Planned, Problem, Record, Secret, VoidBy,
-    order,
+    Attachment, BlockResults, Codes, Decision, Event, Measured, Moment, Outcome, Plan, Planned, Problem, Record,
+    Secret, VoidBy, order,
 };
 
 /// Longest note or reason, in bytes.
@@ -88,6 +88,8 @@ pub struct Attempt {
     pub measured: Option<Measured>,
     /// Whether a script was told its policy.
     pub told: bool,
+    /// The files that were attached to it.
+    pub attachments: Vec<Attachment>,
 }
 
 impl Attempt {
@@ -403,6 +405,7 @@ impl Study {
                     void: None,
                     measured: None,
                     told: false,
+                    attachments: Vec::new(),
                 });
                 self.code = self.codes.next().unwrap_or_default();
             }
@@ -422,6 +425,7 @@ impl Study {
             Event::Pause => self.paused = true,
             Event::Resume => self.paused = false,
             Event::Switch { code, measured } => self.change(code, |attempt| attempt.measured = Some(measured.clone())),
+            Event::Attach { code, file } => self.change(code, |attempt| attempt.attachments.push(file.clone())),
             Event::Told { code } => self.change(code, |attempt| attempt.told = true),
             Event::Unblind { early, .. } => self.unblinded = Some(*early),
         }

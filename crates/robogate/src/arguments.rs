@@ -5,11 +5,11 @@ use std::time::Duration;
 
 use clap::{Args, ValueEnum};
 use robogate_core::latency::ExecutionMode;
-use robogate_dictionary::RendererRecord;
+use robogate_dictionary::{OnWarning, RendererRecord};
 use robogate_session::{
     CELL_TASK, CheckpointStatistics, ENGINES, EnvironmentChoice, LatencyChoice, PolicyAccess, PolicyChoice,
-    PolicyLocation, Reopening, SandboxFolders, Simulators, StressChoice, Trust, WantedLatency, duration,
-    execution_mode,
+    PolicyLocation, Reopening, SandboxFolders, Simulators, StressChoice, Trust, WantedLatency, WarnerChoice, duration,
+    execution_mode, on_warning,
 };
 use robogate_zmtp::Address;
 
@@ -253,6 +253,25 @@ impl LatencyArguments {
     pub(crate) fn choice(&self) -> LatencyChoice {
         let stress = StressChoice { wanted: self.stress.clone(), wordings: self.wordings.clone() };
         LatencyChoice { latency: self.latency.clone(), execution: self.execution, stress }
+    }
+}
+
+/// The arguments that put a warner into the episodes.
+#[derive(Debug, Clone, Default, Args)]
+pub(crate) struct WarnerArguments {
+    /// Let this detector of `robogate warn train` warn in each episode (docs/guides/warn.md)
+    #[arg(long, value_name = "FILE", requires = "on_warning")]
+    warner: Option<PathBuf>,
+    /// Choose what happens at a warning: stop (the episode ends), slow or slow:N (each action takes 2 or N control periods), handover
+    /// (the episode ends, and a person takes over) or record (nothing changes)
+    #[arg(long, value_name = "WHAT", requires = "warner", value_parser = on_warning)]
+    on_warning: Option<OnWarning>,
+}
+
+impl WarnerArguments {
+    /// The warner of these arguments.
+    pub(crate) fn choice(&self) -> WarnerChoice {
+        WarnerChoice { detector: self.warner.clone(), on_warning: self.on_warning }
     }
 }
 

@@ -14,6 +14,12 @@ pub(crate) fn positive(text: &str) -> Result<f64, String> {
     if number.is_finite() && number > 0.0 { Ok(number) } else { Err("expected a number above 0".to_owned()) }
 }
 
+/// Parses a finite number of at least 0.
+pub(crate) fn not_negative(text: &str) -> Result<f64, String> {
+    let number: f64 = text.trim().parse().map_err(|_| format!("`{text}` is not a number"))?;
+    if number.is_finite() && number >= 0.0 { Ok(number) } else { Err("expected a number of at least 0".to_owned()) }
+}
+
 /// The most threads, and the most episodes in progress: more would only use up the memory.
 const MOST_THREADS: usize = 4_096;
 const MOST_IN_FLIGHT: usize = 1 << 20;

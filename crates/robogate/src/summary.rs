@@ -10,7 +10,8 @@ use robogate_campaign::{
     BoundaryReport, DrawnFrom, GroupSummary, OutcomeCounts, Population, Sought, Stage, StageSummary, SuiteSummary,
     Summary,
 };
-use robogate_gate::{NominalRate, Twins};
+use robogate_core::FailureMode;
+use robogate_gate::{HANDOVER, NominalRate, Twins, WARNED_STOP, WarnerEffect};
 use robogate_report::{Additions, Headline, analysis_text};
 use robogate_stats::format::counted;
 use serde_json::json;
@@ -26,6 +27,8 @@ pub(crate) struct Arms<'a> {
     pub(crate) twins: Option<&'a Twins>,
     /// The success rate with nothing varied.
     pub(crate) nominal: Option<&'a NominalRate>,
+    /// What a warner changed.
+    pub(crate) warner: Option<&'a WarnerEffect>,
 }
 
 /// Prints the summary as one JSON document.
@@ -47,6 +50,9 @@ pub(crate) fn json(
         if let Some(nominal) = arms.nominal {
             document.insert("nominal".to_owned(), serde_json::to_value(nominal)?);
         }
+        if let Some(warner) = arms.warner {
+            document.insert("warner".to_owned(), serde_json::to_value(warner)?);
+        }
     }
     line(serde_json::to_string_pretty(&document)?);
     Ok(())
@@ -58,14 +64,18 @@ pub(crate) fn print(
     summary: &Summary,
     boundary: Option<&BoundaryReport>,
     analysis: Option<&Analysis>,
-    nominal: Option<&NominalRate>,
+    arms: &Arms<'_>,
 ) {
     line("");
     headline_rate(summary, analysis);
-    nominal.iter().for_each(|nominal| line(format_args!("                 {}", nominal.line())));
+    arms.nominal.iter().for_each(|nominal| line(format_args!("                 {}", nominal.line())));
     // Counts of episodes that a design chose are not those of the operating space.
     if let [stage] = summary.stages.as_slice() {
         failures_in_one_line(stage);
+    }
+    if let Some(warner) = arms.warner {
+        line("");
+        warner.lines().iter().for_each(|text| wrapped(text));
     }
     excluded(&summary.stages);
     if let Some(found) = &summary.sought {
@@ -140,6 +150,13 @@ fn valid_of(summary: &Summary) -> String {
 fn failures_in_one_line(stage: &StageSummary) {
     let mut modes: Vec<_> = stage.failure_modes.iter().filter(|mode| mode.episodes > 0).collect();
     modes.sort_by_key(|mode| Reverse(mode.episodes));
+    // An episode that a warning ended is no failure by a mode of the task.
+    let ended = |mode: &FailureMode| [WARNED_STOP, HANDOVER].contains(mode);
+    let stopped: u64 = modes.iter().filter(|of| ended(&of.mode)).map(|of| of.episodes).sum();
+    if stopped > 0 {
+        line(format_args!("                 {} ended at a warning", counted(stopped, "episode")));
+    }
+    modes.retain(|of| !ended(&of.mode));
     let failures: u64 = modes.iter().map(|mode| mode.episodes).sum();
     if failures > 0 {
         let modes: Vec<String> =

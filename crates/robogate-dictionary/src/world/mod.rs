@@ -4,6 +4,7 @@ mod controls;
 mod place;
 mod policy;
 mod repeats;
+mod warner;
 
 use robogate_core::latency::Execution;
 use robogate_core::stress::Stress;
@@ -14,6 +15,7 @@ pub use controls::{ControlProblem, ControlResult, Controls};
 pub use place::{CellPlace, Place, PythonPlace, RendererRecord};
 pub use policy::{ComparedServers, ExternalPolicyRecord, PolicyRecord};
 pub use repeats::Repeats;
+pub use warner::{OnWarning, WarnerRecord};
 
 /// The version of [`World`] that this crate writes and reads.
 pub const WORLD_VERSION: u32 = 1;
@@ -36,6 +38,9 @@ pub struct World {
     /// What varied between environment and policy. Absent if nothing did.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stress: Option<Stress>,
+    /// The warner that acted in the episodes. Absent if there was none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub warner: Option<WarnerRecord>,
     /// The controls of the gate that started the run.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub controls: Option<Controls>,
@@ -44,7 +49,15 @@ pub struct World {
 impl World {
     /// The scripted controller in this place.
     pub fn new(place: Place) -> Self {
-        Self { version: WORLD_VERSION, place, policy: None, execution: None, stress: None, controls: None }
+        Self {
+            version: WORLD_VERSION,
+            place,
+            policy: None,
+            execution: None,
+            stress: None,
+            warner: None,
+            controls: None,
+        }
     }
 
     /// This record without the versions of installed packages, to compare two records: other versions can compute the same episodes.

@@ -25,6 +25,9 @@ impl EnvironmentBinding {
             if let Some(stress) = &world.stress {
                 bound["stress"] = json!(stress);
             }
+            if let Some(warner) = &world.warner {
+                bound["warner"] = json!([warner.on_warning, warner.sha256]);
+            }
             bound
         });
         let identity: Value = json!({

@@ -81,6 +81,7 @@ fn record(population: Population, trials: Vec<Trial>) -> Record {
         real: None,
         served: false,
         conditions: Conditions::default(),
+        warner: None,
     }
 }
 

@@ -19,3 +19,4 @@ mod score;
 mod simulated;
 mod table;
 mod twins;
+mod warner;

@@ -11,7 +11,10 @@ use super::fleet::Tallies;
 use super::intake::{Intake, IntakeError, Taken};
 use super::metrics::metrics;
 use super::status::{Around, Status};
+use super::warnings::{HeardPeriods, Periods};
 
+/// The reply to control periods without a detector.
+pub(super) const NO_DETECTOR: &str = "this monitor has no detector of warnings. Hint: start it with --warner FILE";
 /// Maximum number of waiting requests.
 const WAITING: usize = 1_024;
 /// Maximum number of requests, and of their bytes, in one commit.
@@ -43,6 +46,7 @@ impl From<super::StoreError> for Problem {
 
 pub(super) enum Job {
     Cycles { batch: Batch, reply: oneshot::Sender<Answer<Taken>> },
+    Periods { periods: Periods, reply: oneshot::Sender<Answer<Option<HeardPeriods>>> },
     Status { reply: oneshot::Sender<Answer<Status>> },
     Around { recipe: String, until: String, reply: oneshot::Sender<Answer<Around>> },
     Fleet { reply: oneshot::Sender<Answer<Tallies>> },
@@ -138,6 +142,19 @@ impl Handle {
     pub fn take_parsed(&self, batch: Batch) -> Result<Taken, String> {
         match self.wait(|reply| Job::Cycles { batch, reply }) {
             Ok(Ok(taken)) => Ok(taken),
+            Ok(Err(problem)) => Err(problem.because),
+            Err(busy) => Err(busy.to_string()),
+        }
+    }
+
+    /// Processes control periods.
+    ///
+    /// # Errors
+    /// The reason why they were not processed, as text.
+    pub fn hear(&self, periods: Periods) -> Result<HeardPeriods, String> {
+        match self.wait(|reply| Job::Periods { periods, reply }) {
+            Ok(Ok(Some(heard))) => Ok(heard),
+            Ok(Ok(None)) => Err(NO_DETECTOR.to_owned()),
             Ok(Err(problem)) => Err(problem.because),
             Err(busy) => Err(busy.to_string()),
         }
@@ -250,6 +267,7 @@ fn together(
 
 fn quick(intake: &mut Intake, job: Job) {
     match job {
+        Job::Periods { periods, reply } => answer(reply, intake.hear_periods(periods).map_err(Problem::from)),
         Job::Status { reply } => answer(reply, Status::of(intake).map_err(Problem::from)),
         Job::Around { recipe, until, reply } => {
             answer(reply, Around::of(intake, &recipe, &until).map_err(Problem::from));

@@ -3,6 +3,7 @@
 //! | request | answer |
 //! |---|---|
 //! | `POST /v1/cycles` | takes one cycle, an array of cycles, or one cycle per line; returns the result of the batch |
+//! | `POST /v1/periods` | takes one control period, an array of them, or one per line; returns the warnings |
 //! | `GET /v1/cycles?recipe=NAME&until=ID` | the last cycles of a recipe up to this one, and similar simulated episodes |
 //! | `POST /v1/recipes/NAME/restart` | restarts the recipe's detectors, after the cause was repaired |
 //! | `GET /v1/status` | the status document |
@@ -24,7 +25,7 @@ use std::convert::Infallible;
 use std::net::{IpAddr, SocketAddr};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use http_body_util::{BodyExt, Full};
 use hyper::body::{Bytes, Incoming};
@@ -32,8 +33,7 @@ use hyper::header::{self, HeaderValue};
 use hyper::service::service_fn;
 use hyper::{Method, Request, Response, StatusCode};
 use hyper_util::rt::{TokioIo, TokioTimer};
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 use serde_json::json;
 use serde_json::value::RawValue;
 use tokio::net::{TcpListener, TcpStream};
@@ -41,11 +41,13 @@ use tokio::sync::{oneshot, watch};
 
 use super::admission::{is_this_machine, same};
 use super::batch::Batch;
-use super::engine::{Answer, Busy, Handle, Job, Problem};
+use super::engine::{Answer, Busy, Handle, Job, NO_DETECTOR, Problem};
 use super::fleet::FleetStatus;
 use super::intake::Taken;
 use super::peers::{Connection, Peers};
 use super::replays::Replays;
+use super::settings::HttpSettings;
+use super::warnings::Periods;
 
 /// Time for which a comparison of the robots is reused.
 const FLEET_HOLDS: Duration = Duration::from_secs(10);
@@ -65,46 +67,6 @@ const SCRIPT: &str = include_str!("page.js");
 const STYLE: &str = include_str!("page.css");
 /// The reply without simulated episodes.
 const NO_EPISODES: &str = "this monitor replays no simulated episodes. Hint: start it with --episodes RUN";
-
-/// Limits of the HTTP server.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields, default)]
-pub struct HttpSettings {
-    /// Maximum size of a body, in bytes.
-    pub most_body_bytes: usize,
-    /// Maximum total size of all bodies in memory, from their arrival until they are on disk, in bytes.
-    pub most_held_bytes: usize,
-    /// Maximum number of connections.
-    pub most_connections: usize,
-    /// Maximum number of connections from one address.
-    pub most_connections_per_address: usize,
-    /// Maximum number of requests per second from one address. A burst may have ten times as many.
-    pub requests_per_s: f64,
-    /// Timeout for a request's head, and for an idle connection, in seconds.
-    pub head_s: f64,
-    /// Timeout for a request's body, in seconds.
-    pub body_s: f64,
-    /// Timeout after which a request without a reply is aborted, in seconds.
-    pub answer_s: f64,
-    /// Age after which a connection accepts no further request, in seconds.
-    pub connection_s: f64,
-}
-
-impl Default for HttpSettings {
-    fn default() -> Self {
-        Self {
-            most_body_bytes: 16 << 20,
-            most_held_bytes: 128 << 20,
-            most_connections: 1_024,
-            most_connections_per_address: 512,
-            requests_per_s: 2_000.0,
-            head_s: 10.0,
-            body_s: 30.0,
-            answer_s: 30.0,
-            connection_s: 600.0,
-        }
-    }
-}
 
 /// The error that prevents or ends the HTTP server.
 #[derive(Debug, thiserror::Error)]
@@ -318,6 +280,7 @@ async fn respond(server: &Server, request: Request<Incoming>) -> Reply {
     }
     match (request.method(), path.as_str()) {
         (&Method::POST, "/v1/cycles") => cycles(server, request).await,
+        (&Method::POST, "/v1/periods") => periods(server, request).await,
         (&Method::POST, path) if restart_of(path).is_some() => {
             let recipe = restart_of(path).unwrap_or_default();
             match ask(server, |reply| Job::Restart { recipe, reply }).await {
@@ -359,8 +322,8 @@ async fn respond(server: &Server, request: Request<Incoming>) -> Reply {
         (&Method::GET, "/page.css") => reply(StatusCode::OK, "text/css; charset=utf-8", STYLE),
         (
             _,
-            "/v1/cycles" | "/v1/status" | "/v1/fleet" | "/v1/replay" | "/metrics" | "/healthz" | "/page.js"
-            | "/page.css" | "/replay" | "/",
+            "/v1/cycles" | "/v1/periods" | "/v1/status" | "/v1/fleet" | "/v1/replay" | "/metrics" | "/healthz"
+            | "/page.js" | "/page.css" | "/replay" | "/",
         ) => refusal(StatusCode::METHOD_NOT_ALLOWED, "this path does not support this method"),
         _ => refusal(StatusCode::NOT_FOUND, "not found; the page is at /"),
     }
@@ -450,11 +413,9 @@ fn status_of(problem: &Problem) -> StatusCode {
 async fn cycles(server: &Server, request: Request<Incoming>) -> Reply {
     let sender = request.extensions().get::<IpAddr>().map_or_else(|| "http".to_owned(), IpAddr::to_string);
     let mut held = Held { bytes: 0, of: server };
-    let body = read(request.into_body(), &mut held);
-    let body = match tokio::time::timeout(Duration::from_secs_f64(server.settings.body_s), body).await {
-        Ok(Ok(body)) => body,
-        Ok(Err(refused)) => return refused,
-        Err(_) => return refusal(StatusCode::REQUEST_TIMEOUT, "the body took too long"),
+    let body = match body_of(request, &mut held).await {
+        Ok(body) => body,
+        Err(refused) => return refused,
     };
     // Not on this thread, which answers all other clients.
     let batch = match tokio::task::spawn_blocking(move || Batch::parse(&lines(body))).await {
@@ -471,6 +432,34 @@ async fn cycles(server: &Server, request: Request<Incoming>) -> Reply {
         }
         Err(refused) => refused,
     }
+}
+
+/// Control periods, and the warnings that follow.
+async fn periods(server: &Server, request: Request<Incoming>) -> Reply {
+    let mut held = Held { bytes: 0, of: server };
+    let body = match body_of(request, &mut held).await {
+        Ok(body) => body,
+        Err(refused) => return refused,
+    };
+    let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0.0, |since| since.as_secs_f64());
+    let periods = match tokio::task::spawn_blocking(move || Periods::parse(&lines(body), now)).await {
+        Ok(Ok(periods)) => periods,
+        Ok(Err(error)) => return refusal(StatusCode::PAYLOAD_TOO_LARGE, error),
+        Err(error) => return refusal(StatusCode::INTERNAL_SERVER_ERROR, error),
+    };
+    match ask(server, |reply| Job::Periods { periods, reply }).await {
+        Ok(Some(heard)) if heard.accepted == 0 && heard.rejected > 0 => document(StatusCode::BAD_REQUEST, &heard),
+        Ok(Some(heard)) => document(StatusCode::OK, &heard),
+        Ok(None) => refusal(StatusCode::NOT_FOUND, NO_DETECTOR),
+        Err(refused) => refused,
+    }
+}
+
+/// The body of a request, within the limits of size and time.
+async fn body_of(request: Request<Incoming>, held: &mut Held<'_>) -> Result<Vec<u8>, Reply> {
+    let limit = Duration::from_secs_f64(held.of.settings.body_s);
+    let late = || refusal(StatusCode::REQUEST_TIMEOUT, "the body took too long");
+    tokio::time::timeout(limit, read(request.into_body(), held)).await.map_err(|_| late())?
 }
 
 /// Size of the bodies that one request holds in memory until it is answered.

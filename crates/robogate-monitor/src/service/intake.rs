@@ -23,6 +23,8 @@ use super::newcomers::Newcomers;
 use super::senders::{Found, Senders, Trouble};
 use super::settings::ServiceSettings;
 use super::store::{Kept, Store, StoreError};
+use super::warnings::{HeardPeriods, Periods, Warnings};
+use crate::warn::{WarnError, WarnFile};
 use crate::{Alarm, Cycle, Monitor};
 
 /// Number of cycles of a recipe after which its state is written.
@@ -120,6 +122,8 @@ pub struct Intake {
     totals: Taken,
     senders: Senders,
     newcomers: Newcomers,
+    /// The detector of warnings within episodes.
+    warnings: Option<Warnings>,
     /// Simulated episodes, to compare cycles with: those of one recipe, and under `None` those of all others.
     episodes: BTreeMap<Option<String>, Arc<Episodes>>,
 }
@@ -137,6 +141,39 @@ impl Intake {
     #[must_use]
     pub fn with_new_recipes_per_hour(self, most: u32) -> Self {
         Self { newcomers: Newcomers::new(most), ..self }
+    }
+
+    /// The same intake with a detector of warnings within episodes. `sha256` (hex) is that of its file.
+    ///
+    /// # Errors
+    /// If the store cannot be read. The inner error is that of a damaged detector.
+    pub fn with_warner(mut self, file: WarnFile, sha256: String) -> Result<Result<Self, WarnError>, IntakeError> {
+        Ok(Warnings::open(file, sha256, &self.store)?.map(|warnings| {
+            self.warnings = Some(warnings);
+            self
+        }))
+    }
+
+    /// The warnings within episodes.
+    pub(super) fn warnings(&self) -> Option<&Warnings> {
+        self.warnings.as_ref()
+    }
+
+    /// Processes control periods. `None` without a detector.
+    ///
+    /// # Errors
+    /// If the store failed. The periods are processed in any case, and their alarms are written with the next ones.
+    pub fn hear_periods(&mut self, periods: Periods) -> Result<Option<HeardPeriods>, IntakeError> {
+        let Some(warnings) = &mut self.warnings else { return Ok(None) };
+        let (heard, ended) = warnings.hear(periods, &self.monitor, &mut |alarm| self.unwritten.push(alarm));
+        if ended || !self.unwritten.is_empty() {
+            self.store.together(|| {
+                warnings.keep(&self.store)?;
+                self.store.add_alarms(&self.unwritten)
+            })?;
+            self.unwritten.clear();
+        }
+        Ok(Some(heard))
     }
 
     /// The simulated episodes of a recipe.
@@ -176,6 +213,7 @@ impl Intake {
             totals: Taken::default(),
             senders: Senders::default(),
             newcomers: Newcomers::new(ServiceSettings::default().new_recipes_per_hour),
+            warnings: None,
             episodes: BTreeMap::new(),
         })
     }

@@ -48,6 +48,24 @@ pub(super) fn metrics(intake: &Intake) -> String {
              robogate_monitor_{name}_total {n}"
         );
     }
+    if let Some((tally, suppressed)) = intake.warnings().map(super::warnings::Warnings::counts) {
+        text += "# HELP robogate_monitor_episodes_total Watched episodes, by end and warning.\n\
+                 # TYPE robogate_monitor_episodes_total counter\n";
+        let mut tally = *tally;
+        let suspended = u8::from(tally.suspended);
+        for (name, count) in tally.counts_mut() {
+            let _ = writeln!(text, "robogate_monitor_episodes_total{{outcome=\"{name}\"}} {count}");
+        }
+        let _ = writeln!(
+            text,
+            "# HELP robogate_monitor_warnings_suppressed_total Warnings that were not sent, because the recipe had an alarm.\n\
+             # TYPE robogate_monitor_warnings_suppressed_total counter\n\
+             robogate_monitor_warnings_suppressed_total {suppressed}\n\
+             # HELP robogate_monitor_warnings_suspended 1 if more successes were warned than promised.\n\
+             # TYPE robogate_monitor_warnings_suspended gauge\n\
+             robogate_monitor_warnings_suspended {suspended}"
+        );
+    }
     let settings = intake.monitor().settings();
     family(&mut text, intake, ("robogate_monitor_cycles_total", "counter", "Cycles of the recipe."), |recipe, say| {
         say("", recipe.trials().n() as f64)

@@ -7,17 +7,21 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use rumqttc::{Client, Connection, Event, MqttOptions, Packet, Publish, QoS};
 
 use super::engine::Handle;
 use super::outputs::{Deliver, OutputError};
+use super::warnings::Periods;
 
 /// Time until the next attempt to connect to the broker.
 const AGAIN: Duration = Duration::from_secs(1);
 /// Maximum size of a message.
 const LARGEST: usize = 16 << 20;
+
+/// Processes a message. Returns what is wrong with it, or the reason why it must be processed later.
+type Hear = Box<dyn Fn(&Publish) -> Result<Option<String>, String> + Send>;
 
 /// The address of a broker.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -52,7 +56,45 @@ impl Broker {
         end: Arc<AtomicBool>,
         problem: impl Fn(&str) + Send + 'static,
     ) -> JoinHandle<()> {
-        let (client, mut connection) = self.connect("cycles");
+        let hear = move |message: &Publish| {
+            let taken = engine.take_from("mqtt", &message.payload)?;
+            // The cycle would be refused again, so it is reported and the message is acknowledged.
+            Ok(taken.refusals.first().map(|first| {
+                let (topic, line, because) = (&message.topic, first.line, &first.because);
+                format!("{topic} line {line}: {because} ({} refused)", taken.refused)
+            }))
+        };
+        self.follow("cycles", topic, Box::new(hear), end, problem)
+    }
+
+    /// Processes control periods from a topic until `end` is set. `problem` receives error messages.
+    pub fn subscribe_periods(
+        &self,
+        topic: String,
+        engine: Handle,
+        end: Arc<AtomicBool>,
+        problem: impl Fn(&str) + Send + 'static,
+    ) -> JoinHandle<()> {
+        let hear = move |message: &Publish| {
+            let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0.0, |since| since.as_secs_f64());
+            let heard = engine.hear(Periods::parse(&message.payload, now).map_err(|error| error.to_string())?)?;
+            Ok(heard.rejections.first().map(|first| {
+                let (topic, line, because) = (&message.topic, first.line, &first.because);
+                format!("{topic} line {line}: {because} ({} rejected)", heard.rejected)
+            }))
+        };
+        self.follow("periods", topic, Box::new(hear), end, problem)
+    }
+
+    fn follow(
+        &self,
+        role: &str,
+        topic: String,
+        hear: Hear,
+        end: Arc<AtomicBool>,
+        problem: impl Fn(&str) + Send + 'static,
+    ) -> JoinHandle<()> {
+        let (client, mut connection) = self.connect(role);
         std::thread::spawn(move || {
             while !end.load(Ordering::Acquire) {
                 match connection.recv_timeout(AGAIN) {
@@ -62,7 +104,7 @@ impl Broker {
                         }
                     }
                     Ok(Ok(Event::Incoming(Packet::Publish(message)))) => {
-                        let kept = keep(&engine, &message, &end, &problem);
+                        let kept = keep(&hear, &message, &end, &problem);
                         if kept && let Err(error) = client.ack(&message) {
                             problem(&format!("MQTT: {error}"));
                         }
@@ -96,15 +138,11 @@ impl Broker {
 
 /// Processes a message, and waits while the store fails. Returns false on shutdown, when the broker must keep the
 /// message.
-fn keep(engine: &Handle, message: &Publish, end: &AtomicBool, problem: &impl Fn(&str)) -> bool {
+fn keep(hear: &Hear, message: &Publish, end: &AtomicBool, problem: &impl Fn(&str)) -> bool {
     while !end.load(Ordering::Acquire) {
-        match engine.take_from("mqtt", &message.payload) {
-            Ok(taken) => {
-                // The cycle would be refused again, so it is reported and the message is acknowledged.
-                if let Some(first) = taken.refusals.first() {
-                    let (topic, line, because) = (&message.topic, first.line, &first.because);
-                    problem(&format!("MQTT: {topic} line {line}: {because} ({} refused)", taken.refused));
-                }
+        match hear(message) {
+            Ok(refused) => {
+                refused.iter().for_each(|because| problem(&format!("MQTT: {because}")));
                 return true;
             }
             Err(because) => {

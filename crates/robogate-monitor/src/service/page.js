@@ -152,6 +152,18 @@ function recipe(r) {
     ...r.dependence.map(text => el("div", { class: "warning" }, text)),
     ...r.detectors.map(detector), ...r.outside.map(outside), ...course(r));
 }
+function warnings(w) {
+  const e = w.episodes;
+  const state = e.suspended ? "suspended" : w.shifted.length ? "partly suspended" : "on";
+  return el("section", { class: "card" },
+    el("h3", {}, el("span", {}, w.task), el("span", { class: state === "on" ? "fine" : "warning" }, state)),
+    el("div", {}, `${whole(e.warned_failures)} failures warned, ${whole(e.missed_failures)} missed; ` +
+      `${whole(e.warned_successes)} of ${whole(e.warned_successes + e.quiet_successes)} successes warned (promised: at most ${percent(w.promised)}); ` +
+      `${whole(e.stopped)} episodes stopped at a warning; ${whole(w.running)} running`),
+    ...(e.suspended ? [el("div", { class: "warning" }, "More successes were warned than promised: calibrate again. No warnings are sent.")] : []),
+    ...(w.shifted.length ? [el("div", { class: "warning" }, `No warnings are sent for recipes with an alarm: ${w.shifted.join(", ")}`)] : []),
+    ...(w.suppressed ? [el("div", { class: "dim" }, `${whole(w.suppressed)} warnings were not sent, because their recipe had an alarm`)] : []));
+}
 function outside(o) {
   const range = o.numbers && (o.numbers[0] < o.numbers[1] ? `${short(o.numbers[0])} to ${short(o.numbers[1])}` : short(o.numbers[0]));
   const valid = o.validated && (o.validated.range ? o.validated.range.map(short).join(" to ") : o.validated.words.join(", "));
@@ -159,11 +171,13 @@ function outside(o) {
     ? `${o.parameter} ${range || o.word || ""} in ${whole(o.cycles)} cycles; validated: ${valid}`
     : `${whole(o.cycles)} cycles with a combination of parameters outside the validated region`);
 }
+// The cycle of an alarm. A warning belongs to an episode that has no cycle yet.
+const place = a => a.metric === "warning" ? `episode ${whole(a.cycle)}` : `cycle ${whole(a.cycle)}`;
 // Alarms of one metric belong to one event until all of them are cleared.
 function events(alarms) {
   const all = [], open = new Map();
   for (const a of [...alarms].reverse()) {
-    const key = [a.recipe, a.metric, a.metric === "robot" ? a.robot : ""].join("\n");
+    const key = [a.recipe, a.metric, ["robot", "warning"].includes(a.metric) ? a.robot : ""].join("\n");
     let event = open.get(key);
     if (!event) {
       event = { alarms: [], active: new Set() };
@@ -182,7 +196,8 @@ function happened(event) {
   const node = alarm(lead, level || "cleared", level);
   const steps = event.alarms.filter(a => a !== lead || event.alarms.length > 1);
   if (steps.length) node.append(el("ol", { class: "dim" }, ...steps.map(a => el("li", {},
-    `${time(a.time_s)} UTC, cycle ${whole(a.cycle)}: ${a.level} ${a.happening}`))));
+    `${time(a.time_s)} UTC, ${place(a)}: `, ...(a.metric === "warning" && a.happening === "cleared" ? said(a.what) : [`${a.level} ${a.happening}`])))));
+  if (lead.metric === "warning") return node;
   const link = el("button", { class: "link", type: "button", "data-key": "around " + lead.id }, "Show its cycles");
   link.addEventListener("click", () => around(lead));
   const known = current.recipes.find(r => r.recipe === lead.recipe);
@@ -244,8 +259,7 @@ function alarm(a, word, level) {
   return el("section", { class: "card" },
     el("h3", {}, el("span", {}, `${a.recipe}: `, ...said(a.what)),
       el("span", { class: level || "dim" }, word)),
-    el("div", { class: "dim" }, `${time(a.time_s)} UTC, cycle ${whole(a.cycle)} ` +
-      `(${a.cycle_id}), ${a.robot}`),
+    el("div", { class: "dim" }, `${time(a.time_s)} UTC, ${place(a)}${a.cycle_id && ` (${a.cycle_id})`}, ${a.robot}`),
     ...(since ? [el("div", {}, since)] : []), el("div", {}, ...said(a.how_sure)),
     ...(a.look_at.length ? [el("ul", {}, ...a.look_at.map(text => el("li", {}, text)))] : []));
 }
@@ -306,6 +320,8 @@ function show() {
       "Bars show the evidence of a detector relative to its critical limit, on a logarithmic scale.";
     const name = $("of-recipe").value;
     fill("recipes", s.recipes.filter(r => !name || r.recipe === name), recipe, "No cycle has arrived yet.");
+    $("warnings-part").hidden = !s.warnings;
+    if (s.warnings) fill("warnings", [s.warnings], warnings, "");
     fill("alarms", events(s.alarms.filter(wanted)), happened, "No alarms.");
     fleet(name ? { ...f, recipes: f.recipes.filter(r => r.recipe === name) } : f);
     if (!chosen) cycles();

@@ -14,6 +14,7 @@ use super::batch::Batch;
 use super::engine::Handle;
 use super::outputs::{Deliver, OutputError};
 use super::topics::{TopicMap, TopicReader};
+use super::warnings::Periods;
 use crate::{Alarm, Happening, Level};
 
 /// Time until the next attempt to connect, and longest wait for a message before other work is looked at.
@@ -153,7 +154,16 @@ fn hear(message: FromServer, reader: &mut TopicReader, engine: &Handle, end: &At
     }
     let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0.0, |since| since.as_secs_f64());
     let topic = message.topic;
-    let Some(cycle) = reader.observe(&topic, now, message.msg) else { return };
+    let cycle = reader.observe(&topic, now, message.msg);
+    let periods = reader.take_periods();
+    if !periods.is_empty() {
+        // A control period that comes late is worth nothing, so it is not tried again.
+        match engine.hear(Periods::of(periods, now)) {
+            Ok(heard) => heard.rejections.iter().for_each(|of| problem(&format!("rosbridge: {topic}: {}", of.because))),
+            Err(because) => problem(&format!("rosbridge: {because}")),
+        }
+    }
+    let Some(cycle) = cycle else { return };
     let batch = Batch::of(vec![cycle]).sent_by("rosbridge");
     while !end.load(Ordering::Acquire) {
         match engine.take_parsed(batch.clone()) {

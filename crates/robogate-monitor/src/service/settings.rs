@@ -3,7 +3,6 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::http::HttpSettings;
 use super::store::StoreSettings;
 use crate::{Settings, SettingsError};
 
@@ -61,6 +60,46 @@ impl Default for ServiceSettings {
             http: HttpSettings::default(),
             late_after_s: 3_600.0,
             new_recipes_per_hour: 200,
+        }
+    }
+}
+
+/// Limits of the HTTP server.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct HttpSettings {
+    /// Maximum size of a body, in bytes.
+    pub most_body_bytes: usize,
+    /// Maximum total size of all bodies in memory, from their arrival until they are on disk, in bytes.
+    pub most_held_bytes: usize,
+    /// Maximum number of connections.
+    pub most_connections: usize,
+    /// Maximum number of connections from one address.
+    pub most_connections_per_address: usize,
+    /// Maximum number of requests per second from one address. A burst may have ten times as many.
+    pub requests_per_s: f64,
+    /// Timeout for a request's head, and for an idle connection, in seconds.
+    pub head_s: f64,
+    /// Timeout for a request's body, in seconds.
+    pub body_s: f64,
+    /// Timeout after which a request without a reply is aborted, in seconds.
+    pub answer_s: f64,
+    /// Age after which a connection accepts no further request, in seconds.
+    pub connection_s: f64,
+}
+
+impl Default for HttpSettings {
+    fn default() -> Self {
+        Self {
+            most_body_bytes: 16 << 20,
+            most_held_bytes: 128 << 20,
+            most_connections: 1_024,
+            most_connections_per_address: 512,
+            requests_per_s: 2_000.0,
+            head_s: 10.0,
+            body_s: 30.0,
+            answer_s: 30.0,
+            connection_s: 600.0,
         }
     }
 }

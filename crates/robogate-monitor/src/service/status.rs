@@ -9,6 +9,7 @@ use serde_json::Value;
 use super::charts::Charts;
 use super::intake::{Intake, IntakeError, Taken};
 use super::nearest::{Episodes, NearestEpisode};
+use super::warnings::WarningStatus;
 use crate::cycle::Cycle;
 use crate::domain::Validated;
 use crate::{Level, OutsideTally, Recipe, Settings};
@@ -77,6 +78,8 @@ pub struct Status {
     pub cycles: Vec<Value>,
     /// The sum of all results since the start of this process.
     pub intake: Taken,
+    /// Warnings within episodes. `None` without a detector.
+    pub warnings: Option<WarningStatus>,
 }
 
 /// A rate with its 95 % Wilson interval.
@@ -177,6 +180,7 @@ impl Status {
             alarms: intake.store().last_alarms(ALARMS)?.into_iter().map(value).collect(),
             cycles: intake.store().last_cycles(CYCLES)?.into_iter().map(value).collect(),
             intake: intake.totals().clone(),
+            warnings: intake.warnings().map(|warnings| warnings.status(monitor)),
         })
     }
 }

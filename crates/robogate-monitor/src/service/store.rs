@@ -11,6 +11,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::recipe::RecipeState;
+use crate::warn::Tally;
 use crate::{Alarm, Cycle};
 
 /// The version of the tables.
@@ -369,6 +370,26 @@ impl Store {
             [self.settings.keep_alarms.cast_signed()],
         )?;
         Ok(())
+    }
+
+    /// The counts of the episodes that a detector watched, added to those of `from`, which has none.
+    pub(super) fn tally(&self, sha256: &str, from: Tally) -> Result<Tally, StoreError> {
+        let mut tally = from;
+        for (name, count) in tally.counts_mut() {
+            *count = self.fact(&format!("warner:{sha256}:{name}"))?.unwrap_or(0).cast_unsigned();
+        }
+        tally.suspended = self.fact(&format!("warner:{sha256}:suspended"))?.unwrap_or(0) != 0;
+        Ok(tally)
+    }
+
+    /// Writes the counts of the episodes that a detector watched.
+    pub(super) fn keep_tally(&self, sha256: &str, tally: &Tally) -> Result<(), StoreError> {
+        let mut tally = *tally;
+        self.set_fact(&format!("warner:{sha256}:suspended"), tally.suspended.into())?;
+        let counts = tally.counts_mut();
+        counts
+            .into_iter()
+            .try_for_each(|(name, count)| self.set_fact(&format!("warner:{sha256}:{name}"), count.cast_signed()))
     }
 
     /// The number of the newest cycle. 0 without cycles.

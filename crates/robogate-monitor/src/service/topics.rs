@@ -8,6 +8,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
+use crate::warn::Period;
 use crate::{Cycle, MOST_PARAMETERS, ParameterValue};
 
 /// Limits on a text within a message that contains JSON.
@@ -66,6 +67,30 @@ pub struct Place {
     pub is: Vec<Value>,
 }
 
+/// How messages become control periods, for a detector of warnings within episodes. An episode begins with the message `start` of the
+/// map and ends with `end`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct PeriodMap {
+    /// The topic of which each message is a control period: that of the command, which comes before its execution.
+    pub topic: String,
+    /// The type of its messages. Absent: the one that the server knows.
+    #[serde(default, rename = "type", skip_serializing_if = "Option::is_none")]
+    pub type_name: Option<String>,
+    /// Field with the time of a message: seconds since 1970, or a ROS time. Absent: the time at which it was received.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub time: Option<String>,
+    /// The observed vectors of the task, by name. A field is a number or a list of numbers.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub observation: BTreeMap<String, Picked>,
+    /// The command, by its kind.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub command: BTreeMap<String, Picked>,
+    /// The command of the gripper.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub gripper: Option<Picked>,
+}
+
 /// How messages become cycles.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -96,6 +121,9 @@ pub struct TopicMap {
     /// Parameters, by name.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub parameters: BTreeMap<String, Picked>,
+    /// Control periods within the cycles. It needs `start`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub period: Option<PeriodMap>,
 }
 
 impl TopicMap {
@@ -110,6 +138,13 @@ impl TopicMap {
                 return Err(format!("{name}: {count} entries. Expected at most {MOST_PARAMETERS}"));
             }
         }
+        let vectors = map.period.as_ref().map_or(0, |period| period.observation.len() + period.command.len());
+        if vectors > MOST_PARAMETERS {
+            return Err(format!("period: {vectors} vectors. Expected at most {MOST_PARAMETERS}"));
+        }
+        if map.period.is_some() && map.start.is_none() {
+            return Err("[period] needs [start], the message that starts an episode".to_owned());
+        }
         Ok(map)
     }
 
@@ -123,13 +158,18 @@ impl TopicMap {
             Name::Constant(_) => None,
         });
         let options = [Some(&self.success), self.id.as_ref(), self.failure_mode.as_ref(), self.cycle_time_s.as_ref()];
+        let period = self.period.iter();
+        let vectors =
+            period.clone().flat_map(|of| of.observation.values().chain(of.command.values()).chain(&of.gripper));
         let picked = options.into_iter().flatten().chain(self.events.values()).chain(self.parameters.values());
+        let picked = picked.chain(vectors);
         let places = names.chain(picked.filter_map(|picked| match picked {
             Picked::Field(place) => Some(place),
             Picked::Path(_) => None,
         }));
         let places = places.filter_map(|place| Some((place.topic.as_deref()?, place.type_name.as_deref())));
-        for (topic, type_name) in ends.chain(places) {
+        let period = period.map(|of| (of.topic.as_str(), of.type_name.as_deref()));
+        for (topic, type_name) in ends.chain(places).chain(period) {
             let known = all.entry(topic).or_default();
             *known = known.or(type_name);
         }
@@ -144,12 +184,14 @@ pub struct TopicReader {
     /// The newest message of each topic in this cycle.
     latest: BTreeMap<String, Value>,
     started_s: Option<f64>,
+    /// Control periods, starts and ends that were not taken yet.
+    periods: Vec<Result<Period, String>>,
 }
 
 impl TopicReader {
     /// A reader without messages.
     pub fn new(map: TopicMap) -> Self {
-        Self { map, latest: BTreeMap::new(), started_s: None }
+        Self { map, latest: BTreeMap::new(), started_s: None, periods: Vec::new() }
     }
 
     /// The map.
@@ -172,20 +214,71 @@ impl TopicReader {
             return None;
         }
         if let Some(start) = self.map.start.as_ref().filter(|start| start.topic == topic) {
-            self.started_s = Some(time_of(start, &message).unwrap_or(received_s));
+            let started_s = time_of(start.time.as_deref(), &message).unwrap_or(received_s);
+            self.started_s = Some(started_s);
+            if self.map.period.is_some() {
+                self.latest.insert(topic.to_owned(), message.clone());
+                let start = Some(self.parameters());
+                let period = self.of_robot(Period { start, started_s: Some(started_s), ..Period::default() });
+                self.periods.push(period);
+            }
         }
         self.latest.insert(topic.to_owned(), message);
+        if self.map.period.as_ref().is_some_and(|period| period.topic == topic) {
+            self.periods.extend(self.period(received_s));
+        }
         if self.map.end.topic != topic {
             return None;
         }
         let cycle = self.cycle(received_s);
+        if let (Some(_), Some(_), Ok(cycle)) = (&self.map.period, self.started_s, &cycle) {
+            let end = if cycle.success { Some("success") } else { cycle.failure_mode.as_deref().or(Some("failure")) };
+            let end = end.map(str::to_owned);
+            self.periods.push(self.of_robot(Period { end, ..Period::default() }));
+        }
         self.forget();
         Some(cycle)
     }
 
+    /// Takes the control periods since the last call.
+    pub fn take_periods(&mut self) -> Vec<Result<Period, String>> {
+        std::mem::take(&mut self.periods)
+    }
+
+    /// A period of the robot and its recipe, if they are known already.
+    fn of_robot(&self, period: Period) -> Result<Period, String> {
+        let recipe = self.name("recipe", &self.map.recipe).ok();
+        Ok(Period { robot: self.name("robot", &self.map.robot)?, recipe, ..period })
+    }
+
+    /// The control period of the newest message. `None` outside of an episode.
+    fn period(&self, received_s: f64) -> Option<Result<Period, String>> {
+        let (map, started_s) = (self.map.period.as_ref()?, self.started_s?);
+        let now_s = self.latest.get(&map.topic).and_then(|message| time_of(map.time.as_deref(), message));
+        let vector = |(name, picked): (&String, &Picked)| {
+            let (_, value) = self.find_in(&map.topic, picked);
+            Some((name.clone(), numbers(&value?)?))
+        };
+        let gripper = map.gripper.as_ref().and_then(|picked| self.find_in(&map.topic, picked).1?.as_f64());
+        Some(self.of_robot(Period {
+            time_s: Some(now_s.unwrap_or(received_s) - started_s),
+            started_s: Some(started_s),
+            observation: map.observation.iter().filter_map(vector).collect(),
+            command: map.command.iter().filter_map(vector).collect(),
+            gripper,
+            ..Period::default()
+        }))
+    }
+
+    /// The parameters that are known now.
+    fn parameters(&self) -> BTreeMap<String, ParameterValue> {
+        let parameters = self.map.parameters.iter();
+        parameters.filter_map(|(name, picked)| Some((name.clone(), parameter(&self.find(picked).1?)?))).collect()
+    }
+
     fn cycle(&self, received_s: f64) -> Result<Cycle, String> {
         let map = &self.map;
-        let time_s = self.latest.get(&map.end.topic).and_then(|message| time_of(&map.end, message));
+        let time_s = self.latest.get(&map.end.topic).and_then(|message| time_of(map.end.time.as_deref(), message));
         let time_s = match (time_s, &map.end.time) {
             (None, Some(field)) => return Err(format!("time: {} has no time in `{field}`", map.end.topic)),
             (time_s, _) => time_s.unwrap_or(received_s),
@@ -202,7 +295,6 @@ impl TopicReader {
         };
         let measured = map.cycle_time_s.as_ref().and_then(|picked| seconds(&self.find(picked).1?));
         let events = map.events.iter();
-        let parameters = map.parameters.iter();
         let cycle = Cycle {
             id,
             recipe: self.name("recipe", &map.recipe)?,
@@ -214,9 +306,7 @@ impl TopicReader {
                 .filter_map(|(name, picked)| Some((name.clone(), flag(&self.find(picked).1?, self.is(picked))?)))
                 .collect(),
             cycle_time_s: measured.or(self.started_s.map(|started| time_s - started)),
-            parameters: parameters
-                .filter_map(|(name, picked)| Some((name.clone(), parameter(&self.find(picked).1?)?)))
-                .collect(),
+            parameters: self.parameters(),
         };
         cycle.check().map_err(|error| error.to_string())?;
         Ok(cycle)
@@ -234,11 +324,16 @@ impl TopicReader {
 
     /// The name of a field for messages, and its value in this cycle.
     fn find(&self, picked: &Picked) -> (String, Option<Value>) {
+        self.find_in(&self.map.end.topic, picked)
+    }
+
+    /// The same, where a field without a topic is one of this topic.
+    fn find_in(&self, of: &str, picked: &Picked) -> (String, Option<Value>) {
         let (topic, path) = match picked {
             Picked::Path(path) => (None, path),
-            Picked::Field(place) => (place.topic.as_ref(), &place.field),
+            Picked::Field(place) => (place.topic.as_deref(), &place.field),
         };
-        let topic = topic.unwrap_or(&self.map.end.topic);
+        let topic = topic.unwrap_or(of);
         (format!("`{path}` of {topic}"), self.latest.get(topic).and_then(|message| at(message, path)))
     }
 
@@ -264,8 +359,16 @@ fn at(message: &Value, path: &str) -> Option<Value> {
     rest.map_or_else(|| Some(inner.clone()), |rest| at(inner, rest))
 }
 
-fn time_of(topic: &Topic, message: &Value) -> Option<f64> {
-    seconds(&at(message, topic.time.as_deref()?)?)
+fn time_of(field: Option<&str>, message: &Value) -> Option<f64> {
+    seconds(&at(message, field?)?)
+}
+
+/// A number, or a list of numbers.
+fn numbers(value: &Value) -> Option<Vec<f64>> {
+    match value {
+        Value::Array(items) => items.iter().map(Value::as_f64).collect(),
+        value => Some(vec![value.as_f64()?]),
+    }
 }
 
 /// Seconds as a number, or as a time or duration of ROS 1 or 2.

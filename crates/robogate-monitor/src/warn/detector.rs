@@ -4,6 +4,8 @@
 //! Mahalanobis distance to successes at the same moment: of the same phase, and as long after its start. The band subtracts
 //! the median of successes at that moment and divides by the distance to their 90 % quantile.
 
+use std::borrow::Borrow;
+
 use robogate_stats::boosting::Boosting;
 use serde::{Deserialize, Serialize};
 
@@ -151,10 +153,10 @@ impl Distance {
     }
 }
 
-/// A detector at work in one robot. After [`Self::new`] it allocates nothing.
+/// A detector at work in one robot. After [`Self::new`] it allocates nothing. `D` is the detector or a pointer to it.
 #[derive(Debug, Clone)]
-pub struct Warner<'a> {
-    detector: &'a Detector,
+pub struct Warner<D> {
+    detector: D,
     threshold: f64,
     window: Window,
     scratch: Scratch,
@@ -162,10 +164,11 @@ pub struct Warner<'a> {
     warned_s: Option<f32>,
 }
 
-impl<'a> Warner<'a> {
+impl<D: Borrow<Detector>> Warner<D> {
     /// A warner with this threshold.
-    pub fn new(detector: &'a Detector, threshold: f64) -> Self {
-        let (window, scratch) = (Window::new(&detector.features), Scratch::new(&detector.model));
+    pub fn new(detector: D, threshold: f64) -> Self {
+        let of = detector.borrow();
+        let (window, scratch) = (Window::new(&of.features), Scratch::new(&of.model));
         let mut warner = Self { detector, threshold, window, scratch, highest: f64::NEG_INFINITY, warned_s: None };
         warner.start(&[]);
         warner
@@ -182,7 +185,7 @@ impl<'a> Warner<'a> {
     /// detector was evaluated.
     pub fn observe(&mut self, time_s: f32, row: &[f32]) -> Option<f64> {
         let (moment, columns) = self.window.push(time_s, row)?;
-        let score = self.detector.model.score(moment, columns, &mut self.scratch);
+        let score = self.detector.borrow().model.score(moment, columns, &mut self.scratch);
         self.highest = self.highest.max(score);
         if score > self.threshold && self.warned_s.is_none() {
             self.warned_s = Some(time_s);
@@ -202,7 +205,7 @@ impl<'a> Warner<'a> {
 
     /// Bytes of detector and history together.
     pub fn bytes(&self) -> usize {
-        let model = match &self.detector.model {
+        let model = match &self.detector.borrow().model {
             Model::Trees(trees) => trees.bytes(),
             Model::Distance(of) => {
                 let numbers = of.means.iter().chain(&of.factors).map(Vec::len).sum::<usize>();

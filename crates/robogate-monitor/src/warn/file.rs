@@ -1,5 +1,6 @@
 //! The file of a detector.
 
+use robogate_core::{Assignment, Value};
 use robogate_stats::boosting::Boosting;
 use serde::{Deserialize, Serialize};
 
@@ -51,6 +52,16 @@ impl KnownParameter {
     /// A choice as a number: its place, NaN if it is unknown.
     pub fn number_of(&self, choice: &str) -> f64 {
         self.choices.iter().position(|one| one == choice).map_or(f64::NAN, |at| at as f64)
+    }
+
+    /// The parameter in these as a number, NaN if it is not among them.
+    pub fn number_in(&self, parameters: &Assignment) -> f64 {
+        match parameters.get(&self.name) {
+            Some(Value::Number(x)) => *x,
+            Some(Value::Integer(n)) => *n as f64,
+            Some(Value::Category(word)) => self.number_of(word),
+            None => f64::NAN,
+        }
     }
 }
 

@@ -44,6 +44,17 @@ impl Tally {
         }
     }
 
+    /// The counts with their names.
+    pub fn counts_mut(&mut self) -> [(&'static str, &mut u64); 5] {
+        [
+            ("quiet_successes", &mut self.quiet_successes),
+            ("warned_successes", &mut self.warned_successes),
+            ("warned_failures", &mut self.warned_failures),
+            ("missed_failures", &mut self.missed_failures),
+            ("stopped", &mut self.stopped),
+        ]
+    }
+
     /// Counts an episode that ended by itself. Returns whether warnings are suspended from now on.
     pub fn ended(&mut self, success: bool, warned: bool) -> bool {
         *match (success, warned) {

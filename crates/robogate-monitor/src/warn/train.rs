@@ -104,6 +104,12 @@ pub enum WarnError {
         /// The promised share.
         promised: f64,
     },
+    /// The threshold would be among episodes whose scores are unknown.
+    #[error(
+        "too many successes were ended by a warner before it is known how high their scores become, so they give no threshold\nHint: \
+         calibrate with a run without a warner, or with `--on-warning record`"
+    )]
+    Ended,
     /// Too few episodes to fit anything.
     #[error("{found} successes to learn from. At least {needed} are needed")]
     NothingToLearn {
@@ -424,5 +430,7 @@ pub fn calibrate(scored: &[Scored], promised: f64) -> Result<Calibration, WarnEr
         return Err(WarnError::TooFew { found: n, needed, promised });
     };
     let rank = n - above;
-    Ok(Calibration { threshold: highest[rank as usize - 1], successes: n, rank, promised })
+    let threshold = highest[rank as usize - 1];
+    let known = threshold < f64::INFINITY;
+    if known { Ok(Calibration { threshold, successes: n, rank, promised }) } else { Err(WarnError::Ended) }
 }

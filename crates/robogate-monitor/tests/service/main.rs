@@ -9,3 +9,4 @@ mod mqtt;
 mod outputs;
 mod page;
 mod store;
+mod warnings;

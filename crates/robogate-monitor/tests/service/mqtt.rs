@@ -11,6 +11,7 @@ use robogate_monitor::service::{Broker, Output, ServiceEngine, StoreSettings};
 use rumqttc::{Client, Event, MqttOptions, Packet, QoS};
 
 use crate::common::{cycle, cycles, intake};
+use crate::warnings::{detector, episode};
 
 /// A mosquitto process on a free port. It is stopped on drop.
 struct Mosquitto {
@@ -60,12 +61,16 @@ impl Mosquitto {
         Broker { host: "127.0.0.1".to_owned(), port: self.port, client: "robogate".to_owned(), login: None }
     }
 
-    /// Publishes a message, and waits until the broker has it.
     fn publish(&self, payload: &str) {
+        self.publish_on("cell/cycles", payload);
+    }
+
+    /// Publishes a message, and waits until the broker has it.
+    fn publish_on(&self, topic: &str, payload: &str) {
         let mut options = MqttOptions::new("sender", "127.0.0.1", self.port);
         options.set_max_packet_size(1 << 20, 1 << 20);
         let (client, mut connection) = Client::new(options, 10);
-        client.publish("cell/cycles", QoS::AtLeastOnce, false, payload).unwrap();
+        client.publish(topic, QoS::AtLeastOnce, false, payload).unwrap();
         for event in connection.iter() {
             if matches!(event.unwrap(), Event::Incoming(Packet::PubAck(_))) {
                 break;
@@ -170,6 +175,29 @@ fn messages_during_outages_count_once() {
     broker.restart();
     broker.publish(&cycles(100..200, 0.05));
     until("what was sent after the broker's restart", || accepted(&engine) == 199);
+    end.store(true, Ordering::Release);
+    subscriber.join().unwrap();
+    engine.close().unwrap();
+}
+
+#[test]
+fn broker_carries_control_periods() {
+    let Some(broker) = Mosquitto::start() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let intake = intake(&folder.path().join("monitor.db"), StoreSettings::default());
+    let engine = ServiceEngine::open(intake.with_warner(detector(), "a".repeat(64)).unwrap().unwrap(), |_| {});
+    let (end, refused) = (Arc::new(AtomicBool::new(false)), Arc::new(Mutex::new(Vec::new())));
+    let sink = Arc::clone(&refused);
+    let problem = move |text: &str| sink.lock().unwrap().push(text.to_owned());
+    let topic = "cell/periods".to_owned();
+    let subscriber = broker.broker().subscribe_periods(topic, engine.handle(), Arc::clone(&end), problem);
+    let warned = || engine.handle().status().unwrap().warnings.unwrap().episodes.warned_failures;
+    until("a warning", || {
+        broker.publish_on("cell/periods", &episode("a", "bracket", 0.9, "jam"));
+        warned() > 0
+    });
+    broker.publish_on("cell/periods", "no period");
+    until("a rejected line", || refused.lock().unwrap().iter().any(|text| text.contains("cell/periods line 1")));
     end.store(true, Ordering::Release);
     subscriber.join().unwrap();
     engine.close().unwrap();

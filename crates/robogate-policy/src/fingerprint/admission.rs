@@ -73,7 +73,7 @@ pub fn admit(judged: &Fingerprint, policy: &mut dyn Asked) -> Result<Admission, 
     let largest = worst(&answers);
     if largest > tolerance {
         // If the sizes of answers differ, that is the cause, and no other one is looked for.
-        let sized = largest.is_finite();
+        let sized = largest.is_finite() && policy.takes_changed_requests();
         let causes = if sized { causes(judged, policy, largest)? } else { Vec::new() };
         let mut ignored = Vec::new();
         for input in judged.used.iter().filter(|_| sized) {

@@ -28,14 +28,14 @@ impl Change {
 }
 
 /// The changes of images: their words, and the source of each pixel (row, column, colour) of an image of this size.
-const PICTURES: [(&str, Source); 4] = [
+pub(super) const PICTURES: [(&str, Source); 4] = [
     ("mirrored", |[y, x, c], [_, w]| [y, w - 1 - x, c]),
     ("upside down", |[y, x, c], [h, _]| [h - 1 - y, x, c]),
     ("rotated by 180 degrees", |[y, x, c], [h, w]| [h - 1 - y, w - 1 - x, c]),
     ("with red and blue exchanged (BGR)", |[y, x, c], _| [y, x, 2 - c]),
 ];
 
-type Source = fn([usize; 3], [usize; 2]) -> [usize; 3];
+pub(super) type Source = fn([usize; 3], [usize; 2]) -> [usize; 3];
 
 /// All changes that fit the requests of a policy.
 pub(super) fn changes(of: &Query) -> Vec<Change> {
@@ -182,7 +182,7 @@ fn bytes(values: &[f64], dtype: Dtype) -> Option<Vec<u8>> {
 }
 
 /// An image, or a stack of images, with rows of colours or planes of colours, whose pixels come from other places.
-fn rearranged(image: &Array, source: Source) -> Option<Array> {
+pub(super) fn rearranged(image: &Array, source: Source) -> Option<Array> {
     let (leading, size) = image.shape().split_at(image.shape().len().checked_sub(3)?);
     let (h, w, planes) = match size {
         [h, w, 3] => (*h, *w, false),

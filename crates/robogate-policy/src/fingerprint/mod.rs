@@ -5,6 +5,7 @@
 
 mod admission;
 mod alike;
+mod camera;
 mod changes;
 mod file;
 mod recorder;
@@ -14,6 +15,7 @@ mod tests;
 
 pub use admission::{Admission, admit};
 pub use alike::Likeness;
+pub use camera::{CameraCheck, CellImage, compare_camera};
 pub use recorder::Recorder;
 
 use serde_json::Value as Json;
@@ -46,6 +48,11 @@ pub trait Asked {
 
     /// What the policy reports about itself.
     fn declared(&self) -> &Json;
+
+    /// Whether it answers other requests than the recorded ones. Otherwise no cause is looked for by changing requests.
+    fn takes_changed_requests(&self) -> bool {
+        true
+    }
 }
 
 impl Asked for ExternalPolicy {
@@ -92,7 +99,7 @@ impl Fingerprint {
         control_period_s: f64,
     ) -> Result<Self, PolicyError> {
         let mut fingerprint = Self::answers(queries, policy, profile, control_period_s)?;
-        if let Some(first) = fingerprint.probes.first().filter(|_| !fingerprint.is_random()) {
+        if let Some(first) = fingerprint.probes.first().filter(|_| !fingerprint.is_random() && policy.takes_changed_requests()) {
             let inputs = changes::inputs(&first.query);
             for input in inputs {
                 if fingerprint.is_used(&input, policy)? {

@@ -87,27 +87,23 @@ impl Columns<'_> {
         if let Some(offset) = (1..=MOST_OFFSET).find(|offset| self.shifted(*offset)) {
             return vec![format!("the actions of an answer begin {offset} later than those of the judged policy")];
         }
+        if let Some(factor) = self.common_factor(&differ)
+            && !self.is_unit((factor, 0.0))
+        {
+            return vec![format!(
+                "{} numbers of the action are {factor:.4} times those of the judged policy: another scale",
+                differ.len()
+            )];
+        }
         let affine: Vec<Option<(f64, f64)>> = differ.iter().map(|at| self.affine(*at)).collect();
         if differ.len() > 1
             && affine.iter().all(Option::is_some)
             && !affine.iter().flatten().any(|fit| self.is_unit(*fit))
         {
-            let fits: Vec<(f64, f64)> = affine.iter().flatten().copied().collect();
-            let one = fits.iter().all(|(factor, offset)| {
-                (factor / fits[0].0 - 1.0).abs() < 0.01 && offset.abs() < 0.01 * factor.abs().max(1.0)
-            });
-            return vec![if one {
-                format!(
-                    "{} numbers of the action are {:.4} times those of the judged policy: another scale",
-                    fits.len(),
-                    fits[0].0
-                )
-            } else {
-                format!(
-                    "{} numbers of the action are scaled and shifted, each in its own way: the normaliser of another data set",
-                    fits.len()
-                )
-            }];
+            return vec![format!(
+                "{} numbers of the action are scaled and shifted, each in its own way: the normaliser of another data set",
+                affine.len()
+            )];
         }
         let each: Vec<(usize, Option<String>)> =
             differ.iter().zip(affine).map(|(at, fit)| (*at, self.of_column(*at, fit, judged))).collect();
@@ -126,6 +122,19 @@ impl Columns<'_> {
             let numbers = self.numbers(at, at, offset);
             numbers.len() >= self.pairs.len() && self.left(at, &numbers, |a| a) < EXPLAINED
         })
+    }
+
+    /// The factor of all of several columns that differ, if one without an offset explains them.
+    fn common_factor(&self, differ: &[usize]) -> Option<f64> {
+        let in_spreads = |at: &usize| {
+            let spread = self.spreads.get(*at).copied().unwrap_or(1.0);
+            self.numbers(*at, *at, 0).into_iter().map(move |(a, b)| (a / spread, b / spread))
+        };
+        let (ab, aa) = differ.iter().flat_map(in_spreads).fold((0.0, 0.0), |(ab, aa), (a, b)| (ab + a * b, aa + a * a));
+        let factor = ab / aa;
+        let most = EXPLAINED * factor.abs().max(1.0);
+        let explains = |at: &usize| self.left(*at, &self.numbers(*at, *at, 0), |a| factor * a) < most;
+        (differ.len() > 1 && factor.abs() > 1e-6 && differ.iter().all(explains)).then_some(factor)
     }
 
     /// Factor and offset of a column, if they explain it and it varies.

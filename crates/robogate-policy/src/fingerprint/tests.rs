@@ -133,7 +133,8 @@ fn every_mutation_is_refused_and_most_causes_are_named() {
         ("`joints` has no effect", &|q| state(q, 0, |v| v.fill(0.0))),
     ];
     type After<'a> = &'a dyn Fn(&mut Vec<Vec<f64>>);
-    let answers: [(&str, After<'_>); 11] = [
+    let answers: [(&str, After<'_>); 12] = [
+        ("7 numbers of the action are 0.9500 times", &|rows| rows.iter_mut().flatten().for_each(|x| *x *= 0.95)),
         ("the gripper's number has the opposite sign", &|rows| rows.iter_mut().for_each(|row| row[6] = -row[6])),
         ("one minus", &|rows| rows.iter_mut().for_each(|row| row[6] = 1.0 - row[6])),
         ("number 4 of the action is in degrees", &|rows| rows.iter_mut().for_each(|row| row[3] *= 57.29577951308232)),

@@ -6,6 +6,7 @@ mod recorded;
 #[cfg(feature = "mujoco")]
 mod scene;
 mod spaces;
+mod warned;
 
 use std::num::NonZeroUsize;
 use std::path::Path;
@@ -46,7 +47,8 @@ use crate::registry::CELL_TASK;
 use crate::registry::ManyWorlds;
 use crate::signals::{self, SIGNALS, SignalLog};
 use crate::stress::is_stress;
-use robogate_stats::format::percent;
+use crate::warner::SimulatedWarner;
+use robogate_stats::format::{fixed, percent};
 
 pub use built_in::BuiltIn;
 pub(crate) use built_in::hello_of;
@@ -69,6 +71,8 @@ pub struct Subject {
     execution: Option<Execution>,
     /// What else varies between environment and policy.
     stress: Option<Stress>,
+    /// The warner beside the policy.
+    warner: Option<SimulatedWarner>,
     /// The controls of the gate, as its runs record them.
     controls: Option<Controls>,
     /// The folder of the robot as the run records it, if the user named another one with the same files.
@@ -103,6 +107,7 @@ impl Subject {
             task,
             execution: None,
             stress: None,
+            warner: None,
             controls: None,
             recorded_robot: None,
             recorder: Recorder::default(),
@@ -305,8 +310,9 @@ impl Subject {
 
     /// The same subject with another policy.
     pub(crate) fn with_policy(self, policy: Option<PolicySource>) -> Result<Self, Failure> {
-        let Self { environment, execution, stress, controls, recorded_robot, .. } = self;
-        let subject = Self::new(environment, policy)?.executed(execution)?.stressed(stress)?;
+        let Self { environment, execution, stress, warner, controls, recorded_robot, .. } = self;
+        let warner = warner.map(|warner| warner.record().clone());
+        let subject = Self::new(environment, policy)?.executed(execution)?.stressed(stress)?.warned(warner)?;
         Ok(Self { controls, recorded_robot, ..subject })
     }
 
@@ -556,7 +562,8 @@ impl Subject {
         }
         let policy = self.policy.as_ref().map(PolicySource::record).transpose().or_broken()?;
         let (execution, stress, controls) = (self.execution.clone(), self.stress.clone(), self.controls.clone());
-        let world = Some(World { policy, execution, stress, controls, ..World::new(place) });
+        let warner = self.warner.as_ref().map(|warner| warner.record().clone());
+        let world = Some(World { policy, execution, stress, warner, controls, ..World::new(place) });
         let runs_network = self.policy.as_ref().is_some_and(PolicySource::is_network);
         let platform = if runs_network { Platform::here().with_networks() } else { Platform::here() };
         Ok(Provenance {
@@ -605,6 +612,7 @@ impl Subject {
         let lacks = [
             (self.execution.is_some(), "--latency"),
             (self.stress.is_some(), "--stress"),
+            (self.warner.is_some(), "--warner"),
             (counted, "a policy with ranges of its checkpoint"),
         ];
         let lacks = lacks.into_iter().find_map(|(has, what)| has.then_some(what));
@@ -648,7 +656,7 @@ impl WorkerFactory for Subject {
         {
             let (environment, policy) = RemoteEnvironment::with_policy(Arc::clone(&source.pool), &declared.environment)
                 .map_err(|why| Fault::new(FaultKind::Setup, why.to_string()))?;
-            return Ok(Worker { environment: self.keeping(Box::new(environment)), policy: Box::new(policy) });
+            return self.beside(self.keeping(Box::new(environment)), Box::new(policy));
         }
         let source = self.policy.as_ref();
         let environment = match source.and_then(PolicySource::profile) {
@@ -674,6 +682,6 @@ impl WorkerFactory for Subject {
             None => (environment, policy),
             Some(stress) => with_stress(environment, policy, stress),
         };
-        Ok(Worker { environment, policy })
+        self.beside(environment, policy)
     }
 }

@@ -134,7 +134,7 @@ impl Subject {
     ) -> Result<Self, Failure> {
         let Permit { environment: permitted, robot: permitted_robot, location, mut simulators } =
             opening.permit(folder, provenance, &programs_of(&world))?;
-        let World { mut place, policy, execution, stress, controls, .. } = world;
+        let World { mut place, policy, execution, stress, warner, controls, .. } = world;
         let recorded_comparison = match &policy {
             Some(PolicyRecord::External(external)) => external.compared.clone(),
             _ => None,
@@ -238,7 +238,7 @@ impl Subject {
             }
             None => location.unused().map(|()| None)?,
         };
-        let mut subject = Self::new(environment, policy)?.executed(execution)?.stressed(stress)?;
+        let mut subject = Self::new(environment, policy)?.executed(execution)?.stressed(stress)?.warned(warner)?;
         // The servers were compared again. The record of the run stays.
         subject.record_compared(recorded_comparison);
         Ok(Self { controls, recorded_robot, ..subject })

@@ -1,5 +1,7 @@
 //! `robogate admit`: compares a deployed policy with the one that was judged.
 
+mod cell;
+
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -9,16 +11,19 @@ use clap::Args;
 use robogate_core::budget::Budget;
 use robogate_dictionary::{hex, read_text};
 use robogate_gate::evidence::{MANIFEST, Manifest};
-use robogate_policy::{Admission, Checkpoint, ExternalPolicy, Fingerprint, PolicyError, Profile, admit};
+use robogate_policy::{
+    Admission, Asked, Checkpoint, Chunk, ExternalPolicy, Fingerprint, PolicyError, Profile, Query, admit,
+};
 use robogate_session::{
-    CHECKPOINT, FINGERPRINT, MOST_FINGERPRINT_BYTES, checkpoint, policy_error, profile, read_checkpoint,
-    read_fingerprint,
+    CHECKPOINT, FINGERPRINT, MOST_FINGERPRINT_BYTES, Rehearsal, Reopening, checkpoint, is_rehearsed, policy_error,
+    profile, read_checkpoint, read_fingerprint,
 };
 use robogate_stats::format::{counted, number};
 use serde::Serialize;
 use sha2::{Digest, Sha256};
 
-use crate::arguments::AccessArguments;
+use self::cell::CellArguments;
+use crate::arguments::{AccessArguments, SimulatorArguments, TrustArguments};
 use crate::exit::{DONE, Exit, FAIL, INVALID, OrExit};
 use crate::number;
 use crate::terminal::{bold, foreign, line, note};
@@ -29,16 +34,21 @@ use crate::terminal::{bold, foreign, line, note};
 /// policy gets the same requests. If its answers differ, the command tries the usual mistakes (mirrored images, exchanged cameras,
 /// units, signs, order, normalisers, chunk length) and names those that explain the difference.
 ///
+/// A policy that the process of an environment runs (sb3:, lerobot:, a function) is asked by the start of some episodes: the same
+/// scenarios in the same environment, with the actions of the first control periods as answers.
+///
 /// With `gate --checkpoint`, and for policies that the environment's process loads, a gate also records the files of the checkpoint:
-/// settings, tensors, code. `--checkpoint` compares those of the cell, and loads none of them.
+/// settings, tensors, code. `--checkpoint` compares those of the cell, and loads none of them. `--camera`, `--latency`, `--robot` and
+/// `--rate` compare what the cell declares.
 ///
 /// Exit codes: 0 if the policy is admitted, 1 if not, 4 if the fingerprint is not that of its evidence, 5 if the policy does not answer.
 #[derive(Debug, Args)]
 pub(crate) struct Admit {
     /// Folder of the gate or of its evidence, or a fingerprint file
     fingerprint: PathBuf,
-    /// The deployed policy: the address of its server, or an ONNX file
-    #[arg(long, value_name = "POLICY", required_unless_present = "checkpoint")]
+    /// The deployed policy: the address of its server, or an ONNX file; for a gate whose environment ran the policy, the model of the cell
+    /// (sb3:PATH, lerobot:PATH), which runs in the environment of the gate
+    #[arg(long, value_name = "POLICY", required_unless_present_any = ["checkpoint", "camera", "latency", "robot"])]
     policy: Option<String>,
     /// The folder or file of the deployed checkpoint, compared file by file with the one that the gate recorded
     #[arg(long, value_name = "PATH")]
@@ -50,6 +60,16 @@ pub(crate) struct Admit {
     /// Control periods of the cell per second; another number than that of the judged task is refused; default: not checked
     #[arg(long, value_name = "HZ", requires = "policy", value_parser = number::positive)]
     rate: Option<f64>,
+    /// Start this environment, whose files must be those of the gate, for a policy that runs in its process; only needed for a gate that
+    /// you did not make on this machine
+    #[arg(long, value_name = "NAME", requires = "policy")]
+    env: Option<String>,
+    #[command(flatten)]
+    trust: TrustArguments,
+    #[command(flatten)]
+    simulators: SimulatorArguments,
+    #[command(flatten)]
+    cell: CellArguments,
     #[command(flatten)]
     access: AccessArguments,
     /// Print the result as one JSON document
@@ -98,13 +118,20 @@ impl Admit {
         }
         // Files first: they need no server.
         let files = self.checkpoint.as_deref().map(|path| self.files(path)).transpose()?;
-        let asked = match &self.policy {
-            Some(policy) => Some(self.compare(policy, &read_fingerprint(&self.fingerprint)?, files.as_ref())?),
+        let judged = match &self.policy {
+            Some(_) => Some(read_fingerprint(&self.fingerprint)?),
+            // A gate has none if its policy has no requests, and the rest of the cell is compared.
+            None if self.cell.any() => read_fingerprint(&self.fingerprint).ok(),
             None => None,
+        };
+        let of_cell = self.cell.differences(&self.fingerprint, judged.as_ref())?;
+        let asked = match (&self.policy, &judged) {
+            (Some(policy), Some(judged)) => Some(self.compare(policy, judged, files.as_ref())?),
+            _ => None,
         };
         let answers = asked.iter().flat_map(|admission| &admission.differences);
         let differences: Vec<String> =
-            files.iter().flat_map(|files| &files.differences).chain(answers).cloned().collect();
+            files.iter().flat_map(|files| &files.differences).chain(&of_cell).chain(answers).cloned().collect();
         if self.json {
             let document = Document {
                 format: 1,
@@ -172,16 +199,36 @@ impl Admit {
             p_value: None,
             differences: vec![why],
         };
+        if is_rehearsed(judged) {
+            let opening = Reopening {
+                env: self.env.clone(),
+                trust: self.trust.choice(),
+                access: self.access.choice(),
+                simulators: self.simulators.choice(),
+                ..Reopening::none()
+            };
+            let mut policy = Rehearsal::deployed(&self.fingerprint, judged, policy, &opening)?;
+            let mut admission = admit(judged, &mut policy).map_err(policy_error)?;
+            admission.differences.splice(0..0, differences);
+            return Ok(admission);
+        }
+        let mut answered = 0;
         let (profile, access) = (Arc::new(judged.profile.clone()), self.access.choice().access()?);
         let asked = ExternalPolicy::connect_with(policy, profile, access, &mut |_| {}).and_then(|mut policy| {
             differences.extend(
                 files.iter().flat_map(|files| files.recorded.contradictions(policy.declared(), &judged.declared)),
             );
-            admit(judged, &mut policy)
+            let mut counted = Counted { policy: &mut policy, answered: 0 };
+            let admission = admit(judged, &mut counted);
+            answered = counted.answered;
+            admission
         });
         let mut admission = match asked {
             Ok(admission) => admission,
-            Err(error) if is_answer(&error) => refused(error.to_string()),
+            // A policy that answers some requests and reports an error for others has not answered.
+            Err(error) if is_answer(&error) && (answered == 0 || !matches!(error, PolicyError::Reported { .. })) => {
+                refused(error.to_string())
+            }
             Err(error) => return Err(policy_error(error).into()),
         };
         admission.differences.splice(0..0, differences);
@@ -191,7 +238,8 @@ impl Admit {
     fn print(&self, asked: Option<&Admission>, files: Option<&Files>, differences: &[String]) {
         let deployed = match (&self.policy, &self.checkpoint) {
             (Some(policy), _) => foreign(policy).to_string(),
-            (None, path) => path.as_ref().map_or_else(String::new, |path| path.display().to_string()),
+            (None, Some(path)) => path.display().to_string(),
+            (None, None) => "the cell".to_owned(),
         };
         if !differences.is_empty() {
             line(bold(format_args!("NOT ADMITTED: {deployed}")));
@@ -202,7 +250,8 @@ impl Admit {
             "ADMITTED: {deployed} {}",
             match asked {
                 Some(_) => "answers as the judged policy",
-                None => "has the files of the judged policy",
+                None if files.is_some() => "has the files of the judged policy",
+                None => "is as the judged one in what was compared",
             }
         )));
         if let Some(files) = files {
@@ -229,8 +278,10 @@ impl Admit {
             (None, Some(p)) => line(format_args!("  {of}; random answers of the same distribution (p = {p:.3})")),
             (None, None) => line(format_args!("  {of}")),
         }
-        let checked = if self.rate.is_some() { "" } else { " --rate compares the control rate of the cell." };
-        note(format_args!("Not checked here: cameras, state and robot of the cell before its requests.{checked}"));
+        let rate = self.rate.is_none().then_some("--rate");
+        let options: Vec<&str> = rate.into_iter().chain(self.cell.missing()).collect();
+        let more = if options.is_empty() { String::new() } else { format!(" {} compare more.", options.join(", ")) };
+        note(format_args!("Not checked here: what the program of the cell does before its requests.{more}"));
     }
 }
 
@@ -238,6 +289,24 @@ impl Admit {
 struct Files {
     recorded: Checkpoint,
     differences: Vec<String>,
+}
+
+/// A policy whose answers are counted.
+struct Counted<'a> {
+    policy: &'a mut ExternalPolicy,
+    answered: u64,
+}
+
+impl Asked for Counted<'_> {
+    fn ask(&mut self, query: &Query) -> Result<Chunk, PolicyError> {
+        let answer = self.policy.ask(query)?;
+        self.answered += 1;
+        Ok(answer)
+    }
+
+    fn declared(&self) -> &serde_json::Value {
+        self.policy.declared()
+    }
 }
 
 /// Whether an error is an answer of the policy that no judged policy gives, and not a fault of the connection.

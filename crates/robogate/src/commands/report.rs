@@ -23,7 +23,7 @@ use crate::place;
 use crate::terminal::{line, note};
 use crate::twins::NominalArguments;
 use crate::watch::{self, Frames, Moment};
-use robogate_session::{Reopening, Subject, nominal_rate_of, open_source, twins_of};
+use robogate_session::{Reopening, Subject, nominal_rate_of, open_source, twins_of, warner_effect_of};
 
 /// Write a run or a dictionary as one page: where the policy fails, what to do, and the confidence intervals.
 #[derive(Debug, Args)]
@@ -98,6 +98,7 @@ impl Report {
         let sampling = evaluation.as_ref().map_or(Sampling::Fixed, |evaluation| evaluation.sampling);
         let twins = self.nominal.twins(&source, sampling)?;
         let active = source.folder().and_then(active_model::of_run);
+        let warner = source.folder().map_or(Ok(None), |folder| warner_effect_of(folder, source.dictionary()))?;
         let forces = force_limits::of_run(source.folder(), source.dictionary(), evaluation.as_ref())?;
         let changes = changes_of(&source, &analysis, evaluation.as_ref(), watch.as_ref());
         let additions = Additions {
@@ -107,6 +108,7 @@ impl Report {
             pairs: Some(&pairs),
             twins: twins.as_ref(),
             nominal: source.folder().map_or(Ok(None), nominal_rate_of)?,
+            warner: warner.as_ref(),
             forces: &forces,
             active: active.as_ref(),
         };
@@ -171,6 +173,7 @@ pub(crate) fn page(
     let sampling = evaluation.as_ref().map_or(Sampling::Fixed, |evaluation| evaluation.sampling);
     let twins = twins_of(dir, &source, sampling)?;
     let active = active_model::of_run(dir);
+    let warner = warner_effect_of(dir, source.dictionary())?;
     let forces = force_limits::of_run(Some(dir), source.dictionary(), evaluation.as_ref())?;
     let changes = changes_of(&source, &analysis, evaluation.as_ref(), Some(&watch));
     let additions = Additions {
@@ -180,6 +183,7 @@ pub(crate) fn page(
         pairs: Some(&pairs),
         twins: twins.as_ref(),
         nominal: nominal_rate_of(dir)?,
+        warner: warner.as_ref(),
         forces: &forces,
         active: active.as_ref(),
     };

@@ -15,12 +15,14 @@ use robogate_campaign::shards::ShardSet;
 use robogate_campaign::{ActiveStage, Completion, DEFAULT_SEED, Event, Executor, Plan, Preset, RunError, Settings};
 use robogate_core::stress::STRESS_PREFIX;
 use robogate_core::{FailureMode, ParameterSpace, TaskSpec};
-use robogate_dictionary::{Dictionary, Provenance};
+use robogate_dictionary::{Dictionary, OnWarning, Provenance};
 use robogate_gate::{ForceLimits, Sampling};
 use robogate_report::Watch;
 use robogate_stats::format::counted;
 
-use crate::arguments::{EnvironmentArguments, LatencyArguments, LocationArguments, PolicyArguments, TrustArguments};
+use crate::arguments::{
+    EnvironmentArguments, LatencyArguments, LocationArguments, PolicyArguments, TrustArguments, WarnerArguments,
+};
 use crate::commands::shard;
 use crate::exit::{DONE, Exit, INTERRUPTED, INVALID, OrExit};
 use crate::force_limits;
@@ -35,7 +37,7 @@ use crate::watch::Frames;
 use robogate_session::text::quoted;
 use robogate_session::{
     Arms, Outage, PolicySource, Reaction, Reopening, Subject, Watched, Workers, describe, families, guarded,
-    named_suite, nominal_rate_of,
+    named_suite, nominal_rate_of, warner_effect_of, with_plan,
 };
 
 /// Find where the policy fails: a campaign over the operating space, then where the outcome is uncertain.
@@ -103,6 +105,8 @@ pub(crate) struct Run {
     location: LocationArguments,
     #[command(flatten)]
     latency: LatencyArguments,
+    #[command(flatten)]
+    warner: WarnerArguments,
     #[command(flatten)]
     how: How,
     /// Record what the policy sees and does in each control period, for `robogate warn` (docs/guides/warn.md)
@@ -207,6 +211,7 @@ impl Run {
         let subject = Subject::new(environment, policy)?;
         let subject =
             subject.with_statistics(&self.policy.choice().statistics)?.with_latency(&self.latency.choice())?;
+        let subject = subject.with_warner(&self.warner.choice())?;
         let subject = if self.record_signals { subject.recording_signals() } else { subject };
         let (mut plan, space) = self.plan_and_space(&subject)?;
         let subject = if subject.is_deterministic() { subject } else { subject.with_repeats(&space, plan.seed)? };
@@ -247,6 +252,7 @@ impl Run {
             }
         };
         introduce(&provenance, plan.seed);
+        subject.note_warner(&with_plan(&provenance, &plan)?);
         if plan.suite.is_none() {
             subject.note_feasibility(&provenance.space)?;
         }
@@ -471,17 +477,18 @@ pub(crate) fn conclude(dir: &Path, completion: &Completion, subject: Option<&Sub
         Completion::Finished { summary, boundary } => {
             let twins = twins::of_run(dir, Sampling::Fixed)?;
             let nominal = nominal_rate_of(dir)?;
+            let dictionary = Dictionary::open(&dir.join(DICTIONARY)).or_broken()?;
+            let warner = warner_effect_of(dir, &dictionary)?;
             if let Some(twins) = &twins {
                 twins::write(dir, twins)?;
             }
             let analysis = write_report(dir, None, subject).map(|(analysis, _)| analysis);
+            let arms = summary::Arms { twins: twins.as_ref(), nominal: nominal.as_ref(), warner: warner.as_ref() };
             if json {
-                let arms = summary::Arms { twins: twins.as_ref(), nominal: nominal.as_ref() };
                 summary::json(dir, summary, boundary.as_deref(), arms, analysis.as_ref()).or_broken()?;
             } else {
-                summary::print(dir, summary, boundary.as_deref(), analysis.as_ref(), nominal.as_ref());
+                summary::print(dir, summary, boundary.as_deref(), analysis.as_ref(), &arms);
                 twins.iter().for_each(twins::print);
-                let dictionary = Dictionary::open(&dir.join(DICTIONARY)).or_broken()?;
                 force_limits::print(&force_limits::of_run(Some(dir), &dictionary, None)?);
             }
             let evidence = summary.stages.iter().any(|stage| stage.valid > 0);
@@ -561,6 +568,15 @@ pub(crate) fn introduce(provenance: &Provenance, seed: u64) {
         let names = stress.parameters.iter().filter_map(|name| name.strip_prefix(STRESS_PREFIX));
         note(format_args!("stress in transit: {}", names.collect::<Vec<_>>().join(", ")));
     }
+    if let Some(warner) = provenance.world.as_ref().and_then(|world| world.warner.as_ref()) {
+        let what = match warner.on_warning {
+            OnWarning::Record => "is recorded".to_owned(),
+            OnWarning::Stop => "ends the episode".to_owned(),
+            OnWarning::Slow(periods) => format!("slows the robot down: each action takes {periods} control periods"),
+            OnWarning::Handover => "hands the episode over to a person".to_owned(),
+        };
+        note(format_args!("warner {}: a warning {what}", warner.sha256.get(..12).unwrap_or_default()));
+    }
 }
 
 /// A folder under `runs/` that does not exist yet.
@@ -613,6 +629,8 @@ mod tests {
         "execution",
         "stress",
         "wordings",
+        "warner",
+        "on_warning",
     ];
 
     #[test]

@@ -112,3 +112,59 @@ fn folders_without_fingerprint_are_refused() {
     verb(at, "admit text --policy ws://127.0.0.1:1", 2, &["fingerprint"]);
     verb(at, "admit /dev/zero --policy ws://127.0.0.1:1", 2, &["not a file of at most 64 MiB"]);
 }
+
+/// A picture of a judged camera, as PNG.
+fn png(path: &Path, size: usize) {
+    let mut encoder = png::Encoder::new(fs::File::create(path).unwrap(), size as u32, size as u32);
+    encoder.set_color(png::ColorType::Rgb);
+    let pixels: Vec<u8> = (0..size * size).flat_map(|i| [(i % 251) as u8, 90, (i / size % 256) as u8]).collect();
+    encoder.write_header().unwrap().write_image_data(&pixels).unwrap();
+}
+
+#[test]
+fn declared_cell_is_compared() {
+    let dir = TempDir::new().unwrap();
+    let at = dir.path();
+    fs::write(at.join("two.toml"), TWO_SCENARIOS).unwrap();
+    fs::write(
+        at.join("half.toml"),
+        "name = \"half\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"success\"\nat_least = 0.2\n",
+    )
+    .unwrap();
+    let judged = network("learned.onnx");
+    let line = format!(
+        "gate --policy {judged} --profile learned --suite two.toml --requirements half.toml --rounds 1 --controls 0 --latency fixed:80ms --out g -q"
+    );
+    robogate_in(at, &line.split(' ').collect::<Vec<_>>());
+    verb(at, "admit g --latency 90ms --robot franka", 0, &["ADMITTED: the cell", "is as the judged one"]);
+    verb(
+        at,
+        "admit g --latency 200ms",
+        1,
+        &["the latency of the cell is 200 ms, 4 control periods", "judged with 80 ms"],
+    );
+    verb(at, "admit g --latency 0ms", 1, &["0 control periods"]);
+    verb(at, "admit g --robot ur5e", 1, &["the robot of the cell is", "in place of"]);
+    verb(at, "admit g --robot nobody", 2, &["--robot nobody"]);
+    verb(at, "admit g/fingerprint.msgpack --latency 80ms", 2, &["need the folder of the gate"]);
+
+    let profile = String::from_utf8(robogate_in(at, &["list", "profiles", "learned"]).stdout).unwrap();
+    let value = |key: &str| {
+        let line = profile.lines().find(|line| line.starts_with(&format!("{key} = "))).unwrap();
+        line.split(" = ").nth(1).unwrap().trim_matches('"').to_owned()
+    };
+    let (camera, size) = (value("from"), value("width").parse::<usize>().unwrap());
+    png(&at.join("right.png"), size);
+    verb(at, &format!("admit g --camera {camera}=right.png"), 0, &["cannot be told"]);
+    png(&at.join("small.png"), size / 2);
+    let small = format!("{0} x {0} pixels in place of", size / 2);
+    verb(at, &format!("admit g --camera {camera}=small.png"), 1, &[small.as_str()]);
+    verb(at, "admit g --camera rear=right.png", 1, &["the policy has no camera rear"]);
+    fs::write(at.join("text.png"), "no image").unwrap();
+    for (place, why) in
+        [("text.png", "not a PNG or JPEG image"), ("none.png", "cannot be read"), ("rtsp://x/1", "http or https")]
+    {
+        verb(at, &format!("admit g --camera {camera}={place}"), 2, &[why]);
+    }
+    verb(at, "admit g --camera right.png", 2, &["expected NAME=FILE"]);
+}

@@ -262,6 +262,26 @@ fn nominal_rate_is_stated() {
     bench.robogate("gate --run varied --nominal", 2, &["needs the control arm", "Hint: "]);
 }
 
+/// A policy in the process of the environment is asked by the start of some episodes.
+#[test]
+fn policy_in_the_environment_has_a_fingerprint() {
+    let Some(bench) = Bench::new() else { return };
+    let own = "    policies={\"steer\": Policy(steer, \"A proportional controller with damping.\")},\n";
+    let two = "    policies={\"steer\": Policy(steer, \"A controller.\"), \"half\": Policy(lambda env: lambda o: 0.5 * steer(env)(o), \"Weaker.\")},\n";
+    bench.example("two.py", &[(own, two)]);
+    let gate = "gate --env two.py --seed 4 --policy steer --rounds 1 --controls 0";
+    for threads in [1, 2] {
+        let line = format!("{gate} --threads {threads} --out g{threads}");
+        bench.command(&line).output().unwrap();
+    }
+    let bytes = |run: &str| fs::read(bench.at(run).join("fingerprint.msgpack")).unwrap();
+    assert!(bytes("g1") == bytes("g2"), "the fingerprint depends on threads");
+    bench.robogate("admit g1 --policy steer", 0, &["ADMITTED: steer answers as the judged policy", "8 requests"]);
+    bench.robogate("admit g1 --policy half", 1, &["NOT ADMITTED: half"]);
+    bench.robogate("admit g1 --policy ws://127.0.0.1:1", 2, &["runs in the process of its environment", "Hint: "]);
+    bench.robogate("admit g1/fingerprint.msgpack --policy steer", 2, &["need the folder of the gate"]);
+}
+
 /// The first episodes fail in the same way. A script is warned and goes on.
 #[test]
 fn hopeless_run_is_named() {

@@ -36,6 +36,7 @@ const MAY_USE: &[(&str, Option<&[&str]>)] = &[
             "robogate-demos",
             "robogate-dictionary",
             "robogate-gate",
+            "robogate-monitor",
             "robogate-physics",
             "robogate-policy",
             "robogate-remote",

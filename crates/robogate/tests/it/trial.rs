@@ -52,6 +52,18 @@ fn one_policy_passes_by_commands() {
         trial(folder, |_| true);
     }
     run(folder, "trial status study --key team.key.pub");
+
+    // A log and a data set belong to a trial.
+    let journal = fs::read_to_string(folder.join("study/journal.jsonl")).unwrap();
+    let code = journal.split("\"code\":\"").nth(1).unwrap().split('"').next().unwrap();
+    fs::create_dir_all(folder.join("set/meta")).unwrap();
+    fs::write(folder.join("set/meta/info.json"), "{}").unwrap();
+    fs::write(folder.join("run.log"), "grasped").unwrap();
+    run(folder, &format!("trial attach study {code} run.log"));
+    run(folder, &format!("trial attach study {code} set"));
+    assert_exit_in(folder, &["trial", "attach", "study", code, "run.log"], 2, &["has an attachment run.log already"]);
+    assert_exit_in(folder, &["trial", "attach", "study", "NONE", "run.log"], 2, &["there is no trial NONE"]);
+    assert!(run(folder, "trial status study").contains("2 attachments intact"));
     run(folder, "trial unblind study");
     let answer: Value = serde_json::from_str(&run(folder, "trial report study --json")).unwrap();
     assert_eq!(answer["verdict"], "pass");
@@ -61,6 +73,16 @@ fn one_policy_passes_by_commands() {
     assert!(csv.lines().next().unwrap().ends_with(",mass_kg,shape"), "{csv}");
     run(folder, "import study/trials.csv trials.parquet --mapping study/trials.toml");
     assert!(run(folder, "analyze trials.parquet").contains("100"));
+
+    assert!(fs::read_to_string(folder.join("study/report.html")).unwrap().contains("set/meta/info.json"));
+
+    // A changed attachment.
+    let copy = folder.join("study/attachments").join(code).join("run.log");
+    fs::write(&copy, "dropped").unwrap();
+    for verb in ["status", "report"] {
+        assert_exit_in(folder, &["trial", verb, "study"], 4, &["run.log", "not the one that was attached", "Hint: "]);
+    }
+    fs::write(&copy, "grasped").unwrap();
 
     // A changed label, and a changed plan.
     let journal = folder.join("study/journal.jsonl");

@@ -109,3 +109,94 @@ fn detector_is_trained_checked_and_calibrated_again() {
     fs::write(at.join("r2/signals.rgs"), "no signals").unwrap();
     verb(at, "warn check w.json r2", 2, &["not a file of signals", "Hint: "]);
 }
+
+/// A detector that always warns ends every episode, and the episodes run again without it.
+#[test]
+fn warner_acts_in_the_episodes_of_a_run() {
+    let dir = TempDir::new().unwrap();
+    let at = dir.path();
+    fs::write(at.join("grip.toml"), SPACE).unwrap();
+    let run = |more: &str| {
+        let line = format!("run --space grip.toml --design uniform --nominal-episodes 0 -q --json {more}");
+        let output = robogate_in(at, &line.split_whitespace().collect::<Vec<_>>());
+        assert!(output.status.success(), "{more}: {}", text(&output));
+        serde_json::from_slice::<serde_json::Value>(&output.stdout).unwrap()
+    };
+    run("-n 165 --seed 1 --record-signals --out r1");
+    verb(at, "warn train r1 --out w.json", 0, &[]);
+    let mut file: serde_json::Value = serde_json::from_slice(&fs::read(at.join("w.json")).unwrap()).unwrap();
+    file["calibration"]["threshold"] = (-1e9).into();
+    fs::write(at.join("always.json"), file.to_string()).unwrap();
+
+    let outcomes = |run: &str| {
+        let csv = verb(at, &format!("export {run} -"), 0, &[]);
+        let column = csv.lines().next().unwrap().split(',').position(|name| name == "outcome").unwrap();
+        csv.lines().skip(1).map(|row| row.split(',').nth(column).unwrap().to_owned()).collect::<Vec<_>>()
+    };
+    run("-n 10 --seed 4 --out plain");
+    let successes = outcomes("plain").iter().filter(|outcome| *outcome == "success").count() as u64;
+    let document =
+        run("-n 10 --seed 4 --out stopped --warner always.json --on-warning stop --threads 1 --record-signals");
+    assert!(outcomes("stopped").iter().all(|outcome| outcome == "warned_stop"));
+    let warner = &document["warner"];
+    assert_eq!(
+        (warner["false_warnings"].as_u64(), warner["avoided"].as_u64()),
+        (Some(successes), Some(10 - successes))
+    );
+    assert_eq!(warner["without"]["successes"], successes);
+    let page = fs::read_to_string(at.join("stopped/report.html")).unwrap();
+    assert!(page.contains("10 of 10 episodes were stopped at a warning"), "the page says it");
+
+    // The same for any number of threads, by a replay, and after an interruption before the second runs.
+    run("-n 10 --seed 4 --out again --warner always.json --on-warning stop --threads 3");
+    for name in ["dictionary.parquet", "without_warner.json"] {
+        assert_eq!(fs::read(at.join("stopped").join(name)).unwrap(), fs::read(at.join("again").join(name)).unwrap());
+    }
+    verb(at, "replay stopped 3", 0, &["warned_stop", "identical to the recorded episode"]);
+    fs::remove_file(at.join("again/without_warner.json")).unwrap();
+    verb(at, "resume again", 0, &["10 of 10 episodes were stopped"]);
+    assert_eq!(
+        fs::read(at.join("stopped/without_warner.json")).unwrap(),
+        fs::read(at.join("again/without_warner.json")).unwrap()
+    );
+
+    // The successes among the stopped episodes count for the promise.
+    let checked = verb(at, "warn check w.json stopped --json", 1, &[]);
+    let checked: serde_json::Value = serde_json::from_str(&checked).unwrap();
+    assert_eq!(checked["detector"]["false_warnings"]["of"], successes, "{checked}");
+    verb(at, "warn check w.json stopped --out c.json", 2, &["successes"]);
+
+    // A handover is an assist, and slow motion goes on.
+    let document = run("-n 3 --seed 4 --out handed --warner always.json --on-warning handover");
+    assert_eq!(document["warner"]["ended"], 3);
+    let document = run("-n 3 --seed 4 --out slow --warner always.json --on-warning slow");
+    assert_eq!((&document["warner"]["ended"], &document["warner"]["warned"]), (&0.into(), &3.into()));
+    fs::write(
+        at.join("q.toml"),
+        "name = \"q\"\nmode = \"confidence\"\n[[requirement]]\nmetric = \"success\"\nat_least = 0.5\n",
+    )
+    .unwrap();
+    let line =
+        "gate --space grip.toml --rounds 1 --requirements q.toml --out g --warner always.json --on-warning stop -q";
+    verb(at, line, 1, &["were stopped at a warning", "without it, success is"]);
+    verb(at, "evidence g e", 0, &[]);
+    verb(at, "verify e", 0, &["were stopped at a warning"]);
+
+    verb(at, "run -n 2 --warner w.json --out x", 2, &["--on-warning"]);
+    verb(at, "run -n 2 --warner q.toml --on-warning stop --out x", 2, &["not a detector", "Hint: "]);
+    verb(at, "run -n 2 --warner w.json --on-warning halt --out x", 2, &["handover"]);
+    verb(at, "run --task pendulum -n 2 --warner w.json --on-warning stop --out x", 2, &["other signals", "Hint: "]);
+    verb(
+        at,
+        "run --task stacking -n 2 --nominal-episodes 0 --warner w.json --on-warning record --out x",
+        0,
+        &["other conditions: task"],
+    );
+    verb(
+        at,
+        "run -n 2 --warner w.json --on-warning slow --latency fixed:80ms --out x",
+        2,
+        &["slowed down too", "Hint: "],
+    );
+    verb(at, "gate --run g --warner w.json --on-warning stop", 2, &["cannot be used with --run", "Hint: "]);
+}

@@ -88,6 +88,12 @@ fn sections(analysis: &Analysis, additions: &Additions<'_>) -> Vec<Section> {
         ),
         blocks: vec![Block::Text(nominal.line())],
     }));
+    sections.extend(additions.warner.map(|warner| Section {
+        id: "warner",
+        title: "Warnings".to_owned(),
+        population: Some("Applies to the episodes that represent the operating space.".to_owned()),
+        blocks: warner.lines().into_iter().map(Block::Text).collect(),
+    }));
     sections.extend(forces::section(additions.forces));
     sections.extend(conditions::section(analysis));
     sections.extend([

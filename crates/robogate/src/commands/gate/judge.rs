@@ -20,7 +20,9 @@ use crate::force_limits;
 use crate::terminal::note;
 use crate::twins::NominalArguments;
 use robogate_session::text::quoted;
-use robogate_session::{MARGIN, compared_with, judged, nominal_rate_of, open_source, question, record_of, twins_of};
+use robogate_session::{
+    MARGIN, compared_with, judged, nominal_rate_of, open_source, question, record_of, twins_of, warner_effect_of,
+};
 
 impl Gate {
     /// Judges a finished run.
@@ -69,6 +71,9 @@ impl Gate {
         let mut evaluation = question.evaluate(&nominal.judged(record))?;
         evaluation.twins = twins;
         evaluation.nominal = source.folder().map_or(Ok(None), nominal_rate_of)?;
+        if let Some(folder) = source.folder() {
+            evaluation.warner = warner_effect_of(folder, source.dictionary())?;
+        }
         if let Some(out) = &self.out {
             files::create_folders(out).with_context(|| format!("cannot create {}", out.display())).or_broken()?;
             answer_files(out, &evaluation, None)?;
@@ -145,5 +150,6 @@ pub(crate) fn evaluation_of(folder: &Path, source: &Source) -> Result<Option<Eva
     let mut evaluation = question(&asked, other.as_ref()).evaluate(&record)?;
     evaluation.twins = twins_of(folder, source, asked.sampling)?;
     evaluation.nominal = nominal_rate_of(folder)?;
+    evaluation.warner = warner_effect_of(folder, source.dictionary())?;
     Ok(Some(evaluation))
 }

@@ -14,7 +14,7 @@ use std::path::PathBuf;
 use anyhow::anyhow;
 use clap::Args;
 
-use crate::arguments::{AccessArguments, EnvironmentArguments, LatencyArguments, PolicyArguments};
+use crate::arguments::{AccessArguments, EnvironmentArguments, LatencyArguments, PolicyArguments, WarnerArguments};
 use crate::commands::run::How;
 use crate::exit::{Exit, OrExit};
 use crate::given::Given;
@@ -123,6 +123,8 @@ pub(crate) struct Gate {
     #[command(flatten)]
     latency: LatencyArguments,
     #[command(flatten)]
+    warner: WarnerArguments,
+    #[command(flatten)]
     how: How,
     /// Write the plan of the gate in N shards to --out, and run nothing: `robogate plan DIR --next` prints the commands
     /// that run the next round, and `robogate merge DIR` returns the verdict (docs/guides/cluster.md)
@@ -140,6 +142,7 @@ pub(crate) struct Gate {
 
 impl Gate {
     pub(crate) fn execute(&self) -> Result<u8, Exit> {
+        self.check_warner()?;
         match &self.run {
             Some(run) => self.judge(run),
             None => self.start(),
@@ -171,6 +174,18 @@ impl Gate {
             ))
             .or_usage(),
             _ => Ok(()),
+        }
+    }
+
+    /// Rejects a warner where none can act: in a finished run, and beside another policy, for which no detector was trained.
+    fn check_warner(&self) -> Result<(), Exit> {
+        let elsewhere = [(self.run.is_some(), "--run"), (self.against.is_some(), "--against")];
+        match elsewhere.into_iter().find(|(given, _)| *given && self.warner.choice().detector.is_some()) {
+            Some((_, option)) => Err(anyhow!(
+                "--warner cannot be used with {option}\nHint: leave out {option}; the gate runs warned episodes again without the warner"
+            ))
+            .or_usage(),
+            None => Ok(()),
         }
     }
 

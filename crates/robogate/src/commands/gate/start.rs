@@ -95,6 +95,7 @@ impl Gate {
         let subject = Subject::new(environment, policy)?;
         let subject =
             subject.with_statistics(&self.policy.choice().statistics)?.with_latency(&self.latency.choice())?;
+        let subject = subject.with_warner(&self.warner.choice())?;
         let wanted = self.requirements.as_deref().unwrap_or("default");
         let requirements = Requirements::open(wanted, subject.task())?;
         let requirements = force_limits::added(requirements, self.force_limits.as_deref(), subject.task())?;
@@ -267,6 +268,7 @@ impl Gate {
     fn introduce(&self, dir: &Path, prepared: &Prepared, provenance: &Provenance) {
         let seed = prepared.plan.seed;
         introduce(provenance, seed);
+        prepared.subject.note_warner(&prepared.planned);
         note(format_args!(
             "{}: {} scenarios, {} {}, requirements `{}`, into {}",
             prepared.record.population,

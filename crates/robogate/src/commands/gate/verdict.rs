@@ -21,7 +21,7 @@ use crate::terminal::{line, note};
 use crate::twins;
 use crate::watch::Frames;
 use robogate_session::text::quoted;
-use robogate_session::{Failure, Subject, judged, nominal_rate_of, question, twins_of};
+use robogate_session::{Failure, Subject, judged, nominal_rate_of, question, twins_of, warner_effect_of};
 
 /// The files of the evaluation in a run's folder.
 const ANSWER: [&str; 3] = ["gate.json", "gate.md", "gate.junit.xml"];
@@ -56,6 +56,7 @@ pub(crate) fn finish(
     let mut evaluation = question(asked, other).evaluate(&record)?;
     evaluation.twins = twins_of(dir, &source, asked.sampling)?;
     evaluation.nominal = nominal_rate_of(dir)?;
+    evaluation.warner = warner_effect_of(dir, source.dictionary())?;
     if let Some(twins) = &evaluation.twins {
         twins::write(dir, twins)?;
     }

@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 use robogate_core::guard::guarded;
 use robogate_monitor::Cycle;
 use robogate_monitor::service::{TopicMap, TopicReader};
+use robogate_monitor::warn::Period;
 use robogate_replay::read_mcap;
 
 /// Whether a feed is a recording and not lines.
@@ -46,11 +47,17 @@ pub(super) fn files(path: &Path) -> Result<Vec<PathBuf>, String> {
     Ok(files)
 }
 
+/// What a recording contains: a cycle, or control periods with their time.
+pub(super) enum Found {
+    Cycle(Result<Cycle, String>),
+    Periods(Vec<Result<Period, String>>, f64),
+}
+
 /// Reads the cycles of a recording.
 pub(super) fn cycles(
     path: &Path,
     map: TopicMap,
-    each: &mut dyn FnMut(Result<Cycle, String>) -> Result<(), String>,
+    each: &mut dyn FnMut(Found) -> Result<(), String>,
 ) -> Result<(), String> {
     let mut reader = TopicReader::new(map.clone());
     let topics = map.topics();
@@ -67,7 +74,12 @@ pub(super) fn cycles(
         let input = BufReader::with_capacity(1 << 20, input);
         let read = guarded(|| {
             read_mcap(input, &wanted, &mut |message| {
-                reader.observe(&message.topic, message.time_s, message.message).map_or(Ok(()), &mut *each)
+                let cycle = reader.observe(&message.topic, message.time_s, message.message);
+                let periods = reader.take_periods();
+                if !periods.is_empty() {
+                    each(Found::Periods(periods, message.time_s))?;
+                }
+                cycle.map_or(Ok(()), |cycle| each(Found::Cycle(cycle)))
             })
         });
         read.and_then(|read| read).map_err(|error| format!("{}: {error}", file.display()))?;

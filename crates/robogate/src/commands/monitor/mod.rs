@@ -4,6 +4,7 @@ mod bag;
 mod cycles;
 mod recipes;
 mod reference;
+mod results;
 mod rosbridge;
 mod serve;
 mod simulate;
@@ -32,7 +33,7 @@ pub(crate) struct Monitor {
 enum Verb {
     /// Ingest cycle records and raise alarms
     Serve(Box<serve::Serve>),
-    /// Print the cycles of a recording as JSON Lines
+    /// Print the cycles of a recording or of a dictionary as JSON Lines
     Cycles(cycles::Cycles),
     /// Simulate false-alarm rates and detection delays
     Simulate(simulate::Simulate),

@@ -1,31 +1,34 @@
 //! `robogate monitor serve`: connects feeds, outputs and the store.
 
 use std::fs::File;
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Read};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Sender, channel};
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, anyhow};
 use clap::Args;
-use robogate_dictionary::read_text;
+use robogate_dictionary::{hex, read_text};
 use robogate_monitor::service::{
-    Batch, Broker, Deliver, Handle, HttpError, Intake, Output, Replays, ServiceEngine, Store, Taken, TopicMap,
+    Batch, Broker, Deliver, Handle, HttpError, Intake, Output, Periods, Replays, ServiceEngine, Store, Taken,
     diagnostics, json_lines, otlp, serve, subscribe, webhook,
 };
 use robogate_monitor::{Level, Monitor};
 use robogate_policy::TextSocket;
+use robogate_session::read_detector;
+use sha2::{Digest, Sha256};
 
-use super::bag::{cycles, files, is_bag};
+use super::bag::{Found, cycles, files, is_bag};
+use super::results::{OfRows, is_dictionary, say_left_out};
 use super::rosbridge::connect;
 use super::simulated::simulated;
 use super::{Watched, topic_map};
 use crate::exit::{DONE, Exit, FAIL, INFRASTRUCTURE, INVALID, OrExit};
-use crate::terminal::{grouped, note};
+use crate::terminal::{foreign, grouped, note};
 
 /// Lines of a feed that are processed together.
 const TOGETHER: u64 = 1_000;
@@ -42,7 +45,8 @@ const LONGEST_LINE: usize = 1 << 20;
 /// 4 if there was no cycle.
 #[derive(Debug, Args)]
 pub(super) struct Serve {
-    /// Read cycles from this file or pipe as JSON Lines, - for stdin; or, with --topics, from an MCAP file or a folder of rosbag2
+    /// Read cycles from this file or pipe as JSON Lines, - for stdin; from a dictionary (Parquet), such as one of `robogate import`; or,
+    /// with --topics, from an MCAP file or a folder of rosbag2
     feed: Option<PathBuf>,
     /// Store cycles, statistics and alarms in this SQLite file; default: in memory
     #[arg(long, value_name = "FILE")]
@@ -82,6 +86,16 @@ pub(super) struct Serve {
     /// the runs that the references name, if they are still there
     #[arg(long, value_name = "RUN", requires = "listen")]
     episodes: Option<PathBuf>,
+    /// Warn within episodes with this detector of `robogate warn train`: control periods come by HTTP (POST /v1/periods), by MQTT, from
+    /// --periods, or from the messages that [period] of --topics names
+    #[arg(long, value_name = "FILE")]
+    warner: Option<PathBuf>,
+    /// Read control periods from this file or pipe as JSON Lines
+    #[arg(long, value_name = "FILE", requires = "warner")]
+    periods: Option<PathBuf>,
+    /// Subscribe to control periods on this MQTT topic
+    #[arg(long, value_name = "TOPIC", requires_all = ["mqtt", "warner", "store"])]
+    mqtt_periods: Option<String>,
     #[command(flatten)]
     watched: Watched,
 }
@@ -90,6 +104,8 @@ pub(super) struct Serve {
 enum End {
     /// The feed ended, or failed.
     Feed(Result<Taken, String>),
+    /// The file of control periods ended, or failed: accepted and rejected lines, and warnings.
+    Periods(Result<[u64; 3], String>),
     /// The HTTP server ended.
     Http(Result<(), HttpError>),
     /// The process received a signal.
@@ -101,10 +117,14 @@ impl Serve {
         let (settings, referred) = self.watched.settings()?;
         let topics = self.topics.as_deref().map(topic_map).transpose()?;
         self.rosbridge.as_deref().map(TextSocket::check).transpose().context("--rosbridge").or_usage()?;
-        let bag = self.feed.as_deref().filter(|feed| is_bag(feed));
+        let bag = self.feed.as_deref().filter(|feed| is_bag(feed) && !is_dictionary(feed));
         self.check_topics(bag).or_usage()?;
-        let serves = self.listen.is_some() || self.mqtt_cycles.is_some() || topics.is_some() && bag.is_none();
-        if self.feed.is_none() && !serves {
+        let subscribes = self.mqtt_cycles.is_some() || self.mqtt_periods.is_some();
+        let serves = self.listen.is_some() || subscribes || topics.is_some() && bag.is_none();
+        if topics.as_ref().is_some_and(|map| map.period.is_some()) && self.warner.is_none() {
+            return Err(anyhow!("--topics: [period] needs a detector\nHint: add --warner FILE")).or_usage();
+        }
+        if self.feed.is_none() && self.periods.is_none() && !serves {
             let hint = "no source of cycles\nHint: give a file (or - for stdin), --listen, --mqtt-cycles or --topics";
             return Err(anyhow!(hint)).or_usage();
         }
@@ -117,6 +137,11 @@ impl Serve {
         let monitor = Monitor::new(settings.detectors).or_usage()?;
         let mut intake = Intake::open(store.or_broken()?, monitor, settings.late_after_s).or_broken()?;
         intake = intake.with_new_recipes_per_hour(settings.new_recipes_per_hour);
+        if let Some(path) = &self.warner {
+            let (file, text) = read_detector(path)?;
+            let sha256 = hex(&Sha256::digest(text));
+            intake = intake.with_warner(file, sha256).or_broken()?.or_usage()?;
+        }
         let mut replays = None;
         if self.listen.is_some() {
             let simulated = simulated(self.episodes.as_deref(), &referred)?;
@@ -138,36 +163,72 @@ impl Serve {
         let server = self
             .listen
             .map(|address| http(address, token, &settings.http, engine.handle(), replays.take(), sender.clone()));
+        let of_periods = broker.as_ref().zip(self.mqtt_periods.clone()).map(|(broker, topic)| {
+            broker.subscribe_periods(topic, engine.handle(), Arc::clone(&ending), |problem| note(problem))
+        });
         let subscribers = [
             broker.zip(self.mqtt_cycles.clone()).map(|(broker, topic)| {
                 broker.subscribe(topic, engine.handle(), Arc::clone(&ending), |problem| note(problem))
             }),
+            of_periods,
             self.rosbridge.as_deref().zip(topics.clone().filter(|_| bag.is_none())).map(|(url, map)| {
                 subscribe(map, connect(url), engine.handle(), Arc::clone(&ending), |problem| note(problem))
             }),
         ];
         match (&self.feed, bag.zip(topics)) {
-            (_, Some((bag, map))) => read_bag(bag.to_owned(), map, engine.handle(), sender, serves),
-            (Some(path), None) => read(path, engine.handle(), sender, serves)?,
+            (_, Some((bag, map))) => {
+                let bag = bag.to_owned();
+                read_found(move |each| cycles(&bag, map, each), engine.handle(), sender.clone(), serves);
+            }
+            (Some(path), None) if is_dictionary(path) => {
+                let path = path.clone();
+                let rows = move |each: &mut dyn FnMut(Found) -> Result<(), String>| {
+                    OfRows::default().cycles(&path, each).map(say_left_out).map_err(|why| format!("{why:#}"))
+                };
+                read_found(rows, engine.handle(), sender.clone(), serves);
+            }
+            (Some(path), None) => read(path, engine.handle(), sender.clone(), serves)?,
             (None, None) => {}
         }
+        if let Some(path) = self.periods.clone() {
+            read_periods(path, engine.handle(), sender);
+        }
+        let mut waits = usize::from(self.feed.is_some()) + usize::from(self.periods.is_some());
         let mut code = DONE;
         let mut broken = None;
         while let Ok(end) = receiver.recv() {
             match end {
+                End::Periods(Ok([accepted, rejected, warnings])) => {
+                    let counts = [accepted, rejected, warnings].map(grouped);
+                    note(format_args!(
+                        "{} control periods accepted, {} rejected, {} warnings",
+                        counts[0], counts[1], counts[2]
+                    ));
+                    waits -= 1;
+                    if rejected > 0 {
+                        code = FAIL;
+                    }
+                    if !serves && waits == 0 {
+                        break;
+                    }
+                }
                 End::Feed(Ok(taken)) => {
                     say(&taken);
+                    waits -= 1;
                     if !serves {
+                        let of_periods = std::mem::replace(&mut code, DONE);
                         code = match taken.accepted + taken.duplicates {
                             0 => INVALID,
                             // The detectors did not see all cycles.
                             _ if taken.refused + taken.gaps > 0 => FAIL,
-                            _ => exit_code(&engine),
+                            _ => exit_code(&engine).max(of_periods),
                         };
-                        break;
+                        if waits == 0 {
+                            break;
+                        }
                     }
                 }
-                End::Feed(Err(because)) => {
+                End::Feed(Err(because)) | End::Periods(Err(because)) => {
                     broken = Some(anyhow!(because));
                     break;
                 }
@@ -353,8 +414,13 @@ fn follow(mut reader: Box<dyn BufRead>, engine: &Handle, wait: bool) -> Result<T
     }
 }
 
-/// Reads the cycles of a recording on its own thread, up to a thousand at a time.
-fn read_bag(path: PathBuf, map: TopicMap, engine: Handle, sender: Sender<End>, wait: bool) {
+/// Reads cycles and control periods from a source on its own thread, up to a thousand cycles at a time.
+fn read_found(
+    source: impl FnOnce(&mut dyn FnMut(Found) -> Result<(), String>) -> Result<(), String> + Send + 'static,
+    engine: Handle,
+    sender: Sender<End>,
+    wait: bool,
+) {
     std::thread::spawn(move || {
         let (mut all, mut waiting, mut before) = (Taken::default(), Vec::new(), 0);
         let mut flush = |waiting: &mut Vec<_>| {
@@ -367,14 +433,72 @@ fn read_bag(path: PathBuf, map: TopicMap, engine: Handle, sender: Sender<End>, w
             all.add(&taken);
             Ok(())
         };
-        let read = cycles(&path, map, &mut |cycle| {
-            waiting.push(cycle);
-            if waiting.len() as u64 >= TOGETHER { flush(&mut waiting) } else { Ok(()) }
+        let mut periods = [0; 3];
+        let read = source(&mut |found| match found {
+            Found::Cycle(cycle) => {
+                waiting.push(cycle);
+                if waiting.len() as u64 >= TOGETHER { flush(&mut waiting) } else { Ok(()) }
+            }
+            Found::Periods(found, now_s) => {
+                // An alarm of the cycles before suspends warnings.
+                if !waiting.is_empty() {
+                    flush(&mut waiting)?;
+                }
+                hear(&engine, Periods::of(found, now_s), 0, &mut periods)
+            }
         });
+        if periods != [0; 3] {
+            let counts = periods.map(grouped);
+            note(format_args!(
+                "{} control periods accepted, {} rejected, {} warnings",
+                counts[0], counts[1], counts[2]
+            ));
+        }
         // The cycles before a damaged place count.
         let read = flush(&mut waiting).and(read);
         let _ = sender.send(End::Feed(read.map(|()| all)));
     });
+}
+
+/// Reads control periods on their own thread, because a pipe may wait for its writer. Each line is processed at once.
+fn read_periods(path: PathBuf, engine: Handle, sender: Sender<End>) {
+    std::thread::spawn(move || {
+        let unreadable = |error: std::io::Error| format!("cannot read {}: {error}", path.display());
+        let read = || {
+            let mut reader: Box<dyn BufRead> = if path == Path::new("-") {
+                Box::new(BufReader::new(std::io::stdin()))
+            } else {
+                Box::new(BufReader::new(File::open(&path).map_err(unreadable)?))
+            };
+            let (mut counts, mut line, mut text) = ([0; 3], 0, Vec::new());
+            loop {
+                text.clear();
+                let read =
+                    reader.by_ref().take(LONGEST_LINE as u64).read_until(b'\n', &mut text).map_err(unreadable)?;
+                if read == 0 {
+                    return Ok(counts);
+                }
+                let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0.0, |since| since.as_secs_f64());
+                let periods = Periods::parse(&text, now).map_err(|error| error.to_string())?;
+                hear(&engine, periods, line, &mut counts)?;
+                line += 1;
+            }
+        };
+        let _ = sender.send(End::Periods(read()));
+    });
+}
+
+/// Processes control periods after so many lines of their file, and counts accepted and rejected ones and warnings.
+fn hear(engine: &Handle, periods: Periods, before: u64, counts: &mut [u64; 3]) -> Result<(), String> {
+    /// Rejected lines that are shown.
+    const SHOWN: u64 = 10;
+    let heard = engine.hear(periods)?;
+    for of in heard.rejections.iter().take_while(|_| counts[1] < SHOWN) {
+        note(format_args!("control period {}: {}", before + of.line, foreign(&of.because)));
+    }
+    let new = [heard.accepted, heard.rejected, heard.warnings.len() as u64];
+    counts.iter_mut().zip(new).for_each(|(count, new)| *count += new);
+    Ok(())
 }
 
 fn take(take: impl Fn() -> Result<Taken, String>, wait: bool) -> Result<Taken, String> {

@@ -30,6 +30,8 @@ enum Verb {
     Next(record::Next),
     /// Record an event of a trial: start, stop, result, invalid, pause, resume
     Record(record::RecordOf),
+    /// Attach a file or folder to a trial: a recording, a log, a data set
+    Attach(record::Attach),
     /// Check the records of a study and show its progress. Changed records end with exit code 4
     Status(status::Status),
     /// Write the answer of a study: page, CSV of the trials, provenance. Exit codes are those of the gate
@@ -45,6 +47,7 @@ impl Trial {
             Verb::Serve(serve) => serve.execute(),
             Verb::Next(next) => next.execute(),
             Verb::Record(record) => record.execute(),
+            Verb::Attach(attach) => attach.execute(),
             Verb::Status(status) => status.execute(),
             Verb::Report(report) => report.execute(),
             Verb::Unblind(unblind) => unblind.execute(),
@@ -63,7 +66,7 @@ struct StudyArgument {
 /// The exit code of a problem: changed records are invalid evidence.
 fn exit(problem: Problem) -> Exit {
     let code = match problem {
-        Problem::Changed { .. } => INVALID,
+        Problem::Changed { .. } | Problem::Attachment { .. } => INVALID,
         Problem::Random(_) | Problem::Listen { .. } => INFRASTRUCTURE,
         Problem::File { .. } | Problem::Plan(_) | Problem::InUse(_) | Problem::Refused(_) | Problem::Conflict(_) => {
             USAGE

@@ -1,8 +1,11 @@
 //! `robogate trial next` and `record`: trials of cells without a server.
 
+use std::path::PathBuf;
+
 use clap::{Args, ValueEnum};
 use robogate_core::Word;
-use robogate_trial::{Command, Folder, Outcome, Phase, SUCCESS};
+use robogate_stats::format::counted;
+use robogate_trial::{Attachment, Command, Folder, Outcome, Phase, SUCCESS};
 use serde_json::json;
 
 use super::{StudyArgument, exit};
@@ -162,6 +165,33 @@ impl RecordOf {
             measured: self.measured,
             notes: self.notes.clone(),
         })
+    }
+}
+
+/// Attach a file, or all files of a folder, to a trial that has ended.
+///
+/// The folder of the study gets a copy, and the journal its digest: `trial status` and `trial report` end with exit code 4 if a copy was
+/// changed. A file may name the policy: let someone attach it who does not judge trials, or attach it after `unblind`.
+#[derive(Debug, Args)]
+pub(super) struct Attach {
+    #[command(flatten)]
+    study: StudyArgument,
+    /// Code of the trial, as `next` printed it
+    #[arg(value_name = "CODE")]
+    code: String,
+    /// File or folder, for example a data set of LeRobot, a log of Inspect Robots or a recording
+    #[arg(value_name = "FILE")]
+    file: PathBuf,
+}
+
+impl Attach {
+    pub(super) fn execute(&self) -> Result<u8, Exit> {
+        let study = &self.study.study;
+        let mut folder = Folder::open(study).map_err(exit)?;
+        for Attachment { name, bytes, sha256 } in folder.attach(study, &self.code, &self.file).map_err(exit)? {
+            note(format_args!("attached: {} ({}, SHA-256 {sha256})", foreign(name), counted(bytes, "byte")));
+        }
+        Ok(DONE)
     }
 }
 

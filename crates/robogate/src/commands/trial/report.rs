@@ -6,7 +6,7 @@ use anyhow::{Context, anyhow};
 use clap::Args;
 use robogate::exit_codes::INCONCLUSIVE;
 use robogate_dictionary::files;
-use robogate_trial::{Folder, answer, csv_of, mapping, provenance, report};
+use robogate_trial::{Folder, answer, check_attachments, csv_of, mapping, provenance, report};
 
 use super::{StudyArgument, exit};
 use crate::exit::{DONE, Exit, FAIL, OrExit};
@@ -54,6 +54,7 @@ impl Report {
             let problem = "the study is blinded\nHint: `robogate trial unblind` publishes its order once it has ended";
             return Err(anyhow!(problem)).or_usage();
         }
+        check_attachments(folder, &study).map_err(exit)?;
         let answer = answer(&study);
         let out = self.out.as_ref().unwrap_or(folder);
         files::create_folders(out).with_context(|| format!("cannot write {}", out.display())).or_broken()?;

@@ -6,7 +6,7 @@ use anyhow::anyhow;
 use clap::Args;
 use robogate_gate::evidence::{Envelope, PublicKey};
 use robogate_stats::format::counted;
-use robogate_trial::{Folder, Phase};
+use robogate_trial::{Folder, Phase, check_attachments};
 use serde_json::json;
 
 use super::{StudyArgument, exit, plan};
@@ -35,6 +35,7 @@ impl Status {
         if let Some(key) = &self.key {
             self.check_signature(&PublicKey::read(key)?, &study.plan.to_json())?;
         }
+        let attached = check_attachments(&self.study.study, &study).map_err(exit)?;
         let trials = study.attempts().iter().filter(|attempt| attempt.success().is_some()).count() as u64;
         let repeated = study.attempts().iter().filter(|attempt| attempt.is_repeated()).count() as u64;
         let (blocks, phase) = (study.blocks().len() as u64, study.phase());
@@ -46,6 +47,7 @@ impl Status {
                 "repeated": repeated,
                 "blocks": blocks,
                 "most_blocks": study.plan.blocks,
+                "attachments": attached,
                 "unblinded": study.unblinded().is_some(),
                 "plan_sha256": study.plan.sha256(),
             }));
@@ -59,6 +61,9 @@ impl Status {
             study.plan.blocks,
             repeated
         ));
+        if attached > 0 {
+            line(format_args!("{} intact", counted(attached, "attachment")));
+        }
         line(match (phase, study.unblinded()) {
             (_, Some(true)) => "Unblinded before its end: no claim.",
             (_, Some(false)) => "Ended and unblinded.",

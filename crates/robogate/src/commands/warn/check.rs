@@ -8,7 +8,7 @@ use robogate_monitor::warn::{Baselines, Track, WarnFile, calibrate, false_warnin
 
 use super::recorded::RunArguments;
 use super::show::{Shown, Verdict, Views};
-use super::train::{baselines, scored_all};
+use super::train::baselines;
 use crate::exit::{DONE, Exit, OrExit};
 use crate::place;
 use crate::terminal::{foreign, note};
@@ -64,7 +64,7 @@ impl CheckOn {
                 places.iter().map(|at| at.and_then(|at| found.get(at)).copied().unwrap_or(f64::NAN)).collect();
         }
         let tracks: Vec<&Track> = recorded.tracks.iter().collect();
-        let scored = scored_all(&detector, &tracks)?;
+        let scored = recorded.scores(&detector, &tracks)?;
         let differences = file.conditions.differences(&recorded.conditions);
         let verdict = Verdict::of(&false_warnings(&scored, file.calibration.threshold), file.calibration.promised);
         let views = Views::of(&file, &tracks, &scored, risk.as_ref());

@@ -10,7 +10,7 @@ use std::path::Path;
 
 use anyhow::Context;
 use clap::{Args, Subcommand};
-use robogate_dictionary::{files, read_text};
+use robogate_dictionary::files;
 use robogate_monitor::warn::WarnFile;
 
 use crate::exit::{Exit, OrExit};
@@ -44,12 +44,7 @@ impl Warn {
 
 /// Reads a detector.
 fn read(path: &Path) -> Result<WarnFile, Exit> {
-    let text = read_text(path).with_context(|| format!("cannot read {}", path.display())).or_usage()?;
-    serde_json::from_str(&text)
-        .with_context(|| {
-            format!("{}: not a detector\nHint: `robogate warn train DIR --out FILE` writes one", path.display())
-        })
-        .or_usage()
+    Ok(robogate_session::read_detector(path)?.0)
 }
 
 /// Writes a detector.

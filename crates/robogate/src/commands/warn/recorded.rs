@@ -1,18 +1,18 @@
 //! The recorded episodes of a run, as a detector learns from them.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::num::NonZeroUsize;
 use std::ops::ControlFlow;
 
 use anyhow::anyhow;
 use clap::Args;
 use robogate_campaign::folder::DICTIONARY;
-use robogate_core::{Assignment, Domain, ParameterSpace, Scenario, Signals, Value, Word};
-use robogate_dictionary::{Dictionary, Entry, Provenance, hex};
-use robogate_gate::evidence;
-use robogate_monitor::warn::{Conditions, EventRule, KnownParameter, MOST_SIGNALS, Track};
-use robogate_session::{Reopening, SIGNALS, Subject, Workers, read_signals};
-use robogate_stats::format::count;
+use robogate_core::{Assignment, Domain, ParameterSpace, Scenario, Signals, Word};
+use robogate_dictionary::{Dictionary, Entry, OnWarning, Provenance, hex};
+use robogate_gate::{WARNED_S, evidence};
+use robogate_monitor::warn::{Conditions, Detector, EventRule, KnownParameter, MOST_SIGNALS, Scored, Track, score};
+use robogate_session::{Reopening, SIGNALS, Subject, UnwarnedEnd, Workers, read_signals, unwarned};
+use robogate_stats::format::{count, counted};
 use sha2::{Digest, Sha256};
 
 use crate::commands::run::stop_on_signal;
@@ -32,6 +32,7 @@ pub(super) struct RunArguments {
 }
 
 /// The episodes of a run.
+#[derive(Clone)]
 pub(super) struct Recorded {
     pub(super) conditions: Conditions,
     /// SHA-256 (hex) of the provenance of the run, which determines its episodes.
@@ -40,6 +41,23 @@ pub(super) struct Recorded {
     /// The parameters that vary.
     pub(super) parameters: Vec<KnownParameter>,
     pub(super) tracks: Vec<Track>,
+    /// Episodes whose signals after a warning are not those of the policy alone, because a warner acted.
+    pub(super) cut: BTreeSet<u64>,
+    /// Those of them of which it is unknown how they end without the warner. They count as warned successes.
+    pub(super) unknown: BTreeSet<u64>,
+}
+
+impl Recorded {
+    /// The scores of the episodes. A success whose signals are cut at a warning has the highest score.
+    pub(super) fn scores(&self, detector: &Detector, tracks: &[&Track]) -> Result<Vec<Scored>, Exit> {
+        // An episode without an evaluation before its event cannot be warned; it counts as not warned.
+        let mut scored: Vec<Scored> =
+            tracks.iter().map(|track| score(detector, track)).collect::<Result<_, _>>().or_usage()?;
+        for of in scored.iter_mut().filter(|of| of.failure.is_none() && self.cut.contains(&of.index)) {
+            of.scores.iter_mut().rev().take(1).for_each(|last| *last = f64::INFINITY);
+        }
+        Ok(scored)
+    }
 }
 
 impl RunArguments {
@@ -63,12 +81,14 @@ impl RunArguments {
         let parameters = varied(&provenance.space);
         let known = known(&parameters)?;
         // Without parameters, or with equal ones in all episodes, scenarios differ by their seed.
-        let differ = entries
-            .values()
-            .map(|entry| key(&entry.episode.scenario.requested))
-            .collect::<std::collections::BTreeSet<_>>();
+        let differ = entries.values().map(|entry| key(&entry.episode.scenario.requested)).collect::<BTreeSet<_>>();
         let repeats = differ.len() > 1;
         let (mut tracks, mut foreign) = (Vec::new(), 0_u64);
+        let acts = provenance.world.as_ref().and_then(|world| world.warner.as_ref());
+        let acts = acts.is_some_and(|warner| warner.on_warning != OnWarning::Record);
+        let ends: BTreeMap<u64, UnwarnedEnd> =
+            unwarned(&self.run, &dictionary)?.into_iter().map(|end| (end.index, end)).collect();
+        let (mut cut, mut unknown) = (BTreeSet::new(), BTreeSet::new());
         let header = read_signals(&self.run, &mut |header, episode| {
             let Some(entry) = entries.get(&episode.index) else { return };
             if entry.episode.trajectory_hash != episode.trajectory_hash {
@@ -76,9 +96,17 @@ impl RunArguments {
                 return;
             }
             let (width, numbers) = (header.width(), header.signals.width());
-            let rows = episode.numbers.chunks_exact(width);
+            let warned_s = entry.episode.measures.get(WARNED_S.as_str()).filter(|_| acts);
+            let is_own = |row: &&[f32]| warned_s.is_none_or(|warned_s| f64::from(row[0]) <= warned_s + 1e-4);
+            let rows = episode.numbers.chunks_exact(width).filter(is_own);
             let times: Vec<f32> = rows.clone().map(|row| row[0]).collect();
+            let end = ends.get(&episode.index);
+            if warned_s.is_some() {
+                cut.insert(episode.index);
+                unknown.extend(end.is_none().then_some(episode.index));
+            }
             let failure = match &entry.episode.outcome {
+                _ if warned_s.is_some() => end.map(|end| end.outcome.clone()).filter(|outcome| outcome != "success"),
                 robogate_core::Outcome::Success => None,
                 robogate_core::Outcome::Failure(mode) => Some(mode.as_str().to_owned()),
                 robogate_core::Outcome::Invalid(_) => return,
@@ -97,11 +125,15 @@ impl RunArguments {
                 scenario: if repeats { key(requested) } else { episode.index },
                 sampled: !entry.is_chosen(),
                 failure,
-                event_s: entry.episode.time_s.min(end_s).min(excess_s.unwrap_or(f64::INFINITY)),
+                event_s: match (warned_s, end) {
+                    (Some(_), Some(end)) => end.time_s,
+                    (Some(_), None) => f64::INFINITY,
+                    _ => entry.episode.time_s.min(end_s).min(excess_s.unwrap_or(f64::INFINITY)),
+                },
                 rows: rows.flat_map(|row| row[1..1 + numbers].iter().copied()).collect(),
                 times,
-                parameters: known.iter().map(|of| number(of, requested)).collect(),
-                scenario_numbers: parameters.iter().map(|of| number(of, requested)).collect(),
+                parameters: known.iter().map(|of| of.number_in(requested)).collect(),
+                scenario_numbers: parameters.iter().map(|of| of.number_in(requested)).collect(),
             });
         })?;
         if foreign > 0 {
@@ -130,9 +162,15 @@ impl RunArguments {
                 self.run.join(SIGNALS).display()
             ));
         }
+        if !unknown.is_empty() {
+            note(format_args!(
+                "note: a warner acted in {} whose end without it is unknown",
+                counted(unknown.len() as u64, "episode")
+            ));
+        }
         let conditions = conditions(provenance);
         let run = hex(&Sha256::digest(provenance.to_json()));
-        Ok((Recorded { conditions, run, signals: header.signals, parameters, tracks }, known))
+        Ok((Recorded { conditions, run, signals: header.signals, parameters, tracks, cut, unknown }, known))
     }
 
     /// Runs the episodes again and records their signals.
@@ -169,16 +207,6 @@ fn varied(space: &ParameterSpace) -> Vec<KnownParameter> {
         },
     });
     known.collect()
-}
-
-/// A parameter as a number, NaN if it is unknown.
-fn number(of: &KnownParameter, requested: &Assignment) -> f64 {
-    match requested.get(&of.name) {
-        Some(Value::Number(x)) => *x,
-        Some(Value::Integer(n)) => *n as f64,
-        Some(Value::Category(word)) => of.number_of(word),
-        None => f64::NAN,
-    }
 }
 
 /// A number that equal scenarios have in common.

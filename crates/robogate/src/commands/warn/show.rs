@@ -142,7 +142,7 @@ impl Shown<'_> {
             "scenario_risk": views.scenario,
             "random_early": views.random_early,
             "lead_over_clock_s": views.over_clock_s.iter().map(|(mode, s)| json!({"mode": mode, "median_s": s})).collect::<Vec<_>>(),
-            "bytes": Warner::new(detector, 0.0).bytes(),
+            "bytes": Warner::new(*detector, 0.0).bytes(),
         })
     }
 

@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use anyhow::anyhow;
 use clap::Args;
 use robogate_monitor::warn::{
-    Baselines, Calibration, Detector, EventRule, Features, KnownParameter, Model, PROMISED, Scored, Track, WarnFile,
-    calibrate, divided, score, train,
+    Baselines, Calibration, EventRule, Features, KnownParameter, Model, PROMISED, Scored, Track, WarnFile, calibrate,
+    divided, train,
 };
 use robogate_stats::boosting::{Boosting, Monotone, Options};
 
@@ -50,14 +50,15 @@ pub(super) struct TrainOn {
 
 impl TrainOn {
     pub(super) fn execute(&self) -> Result<u8, Exit> {
-        let (recorded, known) = self.run.read(&self.event, |parameters| self.known(parameters))?;
-        let Recorded { conditions, run, signals, parameters, tracks } = recorded;
-        let (model, others) = divided(&tracks, self.seed);
+        let (mut recorded, known) = self.run.read(&self.event, |parameters| self.known(parameters))?;
+        recorded.tracks.retain(|track| !recorded.unknown.contains(&track.index));
+        let Recorded { conditions, run, signals, parameters, .. } = recorded.clone();
+        let (model, others) = divided(&recorded.tracks, self.seed);
         let features = Features { signals, parameters: known.iter().map(|of| of.name.clone()).collect() };
         let kept = |track: &&Track| !self.successes_only || track.failure.is_none();
         let fitting: Vec<&Track> = model.iter().copied().filter(kept).collect();
         let detector = train(features, &fitting, self.seed).or_usage()?;
-        let scored = scored_all(&detector, &others)?;
+        let scored = recorded.scores(&detector, &others)?;
         let calibration = calibrate(&scored, PROMISED).or_usage()?;
         let risk = scenario_risk(&model, parameters.len(), self.seed);
         let (trees, distance) = match &detector.model {
@@ -102,12 +103,6 @@ impl TrainOn {
         };
         self.parameters.iter().map(find).collect::<Result<_, _>>().or_usage()
     }
-}
-
-/// The scores of these episodes.
-pub(super) fn scored_all(detector: &Detector, tracks: &[&Track]) -> Result<Vec<Scored>, Exit> {
-    // An episode without an evaluation before its event cannot be warned; it counts as not warned.
-    tracks.iter().map(|track| score(detector, track)).collect::<Result<_, _>>().or_usage()
 }
 
 /// The scores of the baselines: the clock, and the risk of the scenario.

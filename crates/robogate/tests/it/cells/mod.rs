@@ -34,6 +34,69 @@ time = "header.stamp"
 mass_kg = { topic = "/scale", type = "std_msgs/msg/Float64", field = "data" }
 "#;
 
+/// A detector that warns where `position` is above 0.45.
+fn detector() -> Value {
+    let group = |name: &str, kind: &str| json!({ "name": name, "kind": kind, "length": 1 });
+    json!({
+        "warn_format": 1,
+        "conditions": { "task": "weigh 1", "engine": "", "robot": "", "policy": "", "population": "" },
+        "features": { "signals": { "period_s": 0.1, "groups": [group("position", "observation"), group("vector", "command")] } },
+        "distance": {
+            "columns": [0], "scale": [[0.0, 1.0]], "moments": { "bin_s": 100.0, "cells": [[0]] }, "means": [[0.0]], "factors": [[1.0]],
+            "band": [[0.0, 1.0]],
+        },
+        "calibration": { "threshold": 0.45, "successes": 59, "rank": 59, "promised": 0.05 },
+        "baselines": { "clock": 0.0 },
+    })
+}
+
+#[test]
+fn control_periods_of_a_file_are_watched() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = dir.path();
+    fs::write(folder.join("w.json"), detector().to_string()).unwrap();
+    let period = |time_s: f64, position: f64| json!({ "robot": "a", "time_s": time_s, "observation": { "position": [position] }, "command": { "vector": [0.0] } });
+    let start = json!({ "robot": "a", "recipe": "bracket", "start": {}, "started_s": 1_795_254_000.0 });
+    let lines =
+        [start, period(0.0, 0.1), period(0.1, 0.6), json!({ "robot": "a", "end": "jam" }), json!({ "robt": 1 })];
+    let text: String = lines.iter().map(|line| format!("{line}\n")).collect();
+    fs::write(folder.join("periods.jsonl"), text).unwrap();
+    let output = robogate_in(folder, &["monitor", "serve", "--warner", "w.json", "--periods", "periods.jsonl"]);
+    assert_eq!(output.status.code(), Some(1), "a line was rejected: {}", stderr(&output));
+    for part in ["4 control periods accepted, 1 rejected, 1 warnings", "control period 5: unknown field"] {
+        assert!(stderr(&output).contains(part), "{part}: {}", stderr(&output));
+    }
+    let alarms: Vec<Value> = stdout(&output).lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert_eq!(alarms.len(), 2, "{alarms:?}");
+    assert_eq!((&alarms[0]["metric"], &alarms[0]["recipe"]), (&json!("warning"), &json!("bracket")));
+    assert!(alarms[1]["what"].as_str().unwrap().contains("ended with jam, 0.00 s after the warning"), "{alarms:?}");
+    assert_exit_in(folder, &["monitor", "serve", "--periods", "periods.jsonl"], 2, &["--warner"]);
+    fs::write(folder.join("none.json"), "{}").unwrap();
+    assert_exit_in(folder, &["monitor", "serve", "-", "--warner", "none.json"], 2, &["not a detector", "Hint: "]);
+}
+
+#[test]
+fn imported_results_are_cycles() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = dir.path();
+    let rows: String = (0..40).map(|i| format!("pi0,{},{i}\n", u8::from(i % 4 != 3))).collect();
+    fs::write(folder.join("arena.csv"), format!("policy,binary_success,mass_kg\n{rows}")).unwrap();
+    let import = robogate_in(folder, &["import", "arena.csv", "rows.parquet"]);
+    assert!(import.status.success(), "{}", text(&import));
+    let args =
+        ["monitor", "cycles", "rows.parquet", "--robot", "cell-1", "--recipe", "bracket", "--since", "1795254000"];
+    let lines = robogate_in(folder, &args);
+    assert_eq!(lines.status.code(), Some(0), "{}", stderr(&lines));
+    let cycles: Vec<Value> = stdout(&lines).lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert_eq!((cycles.len(), &cycles[3]["success"], &cycles[3]["robot"]), (40, &json!(false), &json!("cell-1")));
+    assert_eq!((&cycles[39]["time_s"], &cycles[5]["parameters"]["mass_kg"]), (&json!(1_795_254_040.0), &json!(5.0)));
+    let served = robogate_in(folder, &["monitor", "serve", "rows.parquet", "--store", "m.db"]);
+    assert!(stderr(&served).contains("40 cycles accepted"), "{}", stderr(&served));
+    let again = robogate_in(folder, &["monitor", "serve", "rows.parquet", "--store", "m.db"]);
+    assert!(stderr(&again).contains("40 duplicates"), "{}", stderr(&again));
+    assert_exit_in(folder, &["monitor", "cycles", "arena.csv"], 2, &["not a dictionary", "robogate import"]);
+}
+
 fn until(what: &str, mut done: impl FnMut() -> bool) {
     let start = Instant::now();
     while !done() {
@@ -223,6 +286,17 @@ fn recordings_of_other_programs_are_read() {
     let rows: Vec<&str> = table.lines().collect();
     assert_eq!(rows[0], "id,robot,recipe,time_s,success,failure_mode,cycle_time_s,mass_kg");
     assert_eq!((rows.len(), rows[10]), (1_501, "9,cell-1,bracket,1795254036,false,jammed,3.5,9.25"));
+    // Control periods in the same recording: each weight is a start, an observation and a command.
+    let period = "[start]\ntopic = \"/scale\"\n[period]\ntopic = \"/scale\"\nobservation = { position = \"data\" }\ncommand = { vector = \"data\" }\n";
+    fs::write(folder.join("periods.toml"), format!("{MAP}{period}")).unwrap();
+    fs::write(folder.join("w.json"), detector().to_string()).unwrap();
+    let watched = ["monitor", "serve", "bag", "--topics", "periods.toml", "--warner", "w.json"];
+    let output = robogate_in(folder, &watched);
+    assert!(stderr(&output).contains("4,500 control periods accepted, 0 rejected"), "{}", stderr(&output));
+    // Nearly all successes are warned, which the promise excludes.
+    let alarms = stdout(&output);
+    assert!(alarms.contains("\"metric\":\"warning\"") && alarms.contains("are suspended"), "{alarms}");
+    assert_exit_in(folder, &watched[..5], 2, &["[period] needs a detector", "--warner FILE"]);
     // A damaged recording: what comes before the damage counts.
     let mut bytes = fs::read(folder.join("zstd.mcap")).unwrap();
     bytes.truncate(bytes.len() / 2);
