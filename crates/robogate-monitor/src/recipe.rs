@@ -372,7 +372,7 @@ impl Recipe {
         const FIRST: u64 = 10;
         let named = self.outside().filter_map(|(parameter, tally)| (!tally.reported).then_some(parameter?.0));
         let names: Vec<&str> = named.collect();
-        (self.state.cycles >= FIRST && !names.is_empty()).then_some(names)
+        (self.state.cycles - self.state.began[Metric::Outside.index()] >= FIRST && !names.is_empty()).then_some(names)
     }
 
     /// Adds the score of a cycle to the sums of blocks, and looks for dependence now and then.

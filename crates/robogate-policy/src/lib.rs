@@ -65,7 +65,8 @@ pub use encoder::{Encoder, outside_range, read_pose, state_numbers, state_sizes}
 pub use error::PolicyError;
 pub use external::ExternalPolicy;
 pub use fingerprint::{
-    Admission, Asked, CameraCheck, CellImage, Fingerprint, Likeness, MOST_PROBES, Probe, Recorder, admit, compare_camera,
+    Admission, Asked, CameraCheck, CellImage, Fingerprint, Likeness, MOST_PROBES, Probe, Recorder, admit,
+    compare_camera,
 };
 pub use identify::dialects_at;
 pub use map::{BoundMap, CameraPiece, MapRow, Mapped, Piece, Pieces, Slice, Source, TaskMap, Unmapped, map_table};

@@ -49,7 +49,7 @@ fn production_figures_are_judged() {
     let production = judge(&gate("success", "at_least = 0.5"), &record(), Sampling::Fixed).production.unwrap();
     assert!((production.units_per_hour.at.unwrap() - 3600.0 * 0.8 / 7.8).abs() < 1e-9);
     assert_eq!(production.median_cycle_time_s.at, Some(6.0));
-    assert_eq!((production.longest_clean_run.at, production.tolerance_cycle_time_s), (Some(4.0), Some([6.0, 6.0])));
+    assert_eq!((production.longest_clean_run.at, production.tolerance_cycle_time_s), (Some(19.0), Some([6.0, 6.0])));
 }
 
 #[test]

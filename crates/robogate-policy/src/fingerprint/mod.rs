@@ -99,7 +99,9 @@ impl Fingerprint {
         control_period_s: f64,
     ) -> Result<Self, PolicyError> {
         let mut fingerprint = Self::answers(queries, policy, profile, control_period_s)?;
-        if let Some(first) = fingerprint.probes.first().filter(|_| !fingerprint.is_random() && policy.takes_changed_requests()) {
+        if let Some(first) =
+            fingerprint.probes.first().filter(|_| !fingerprint.is_random() && policy.takes_changed_requests())
+        {
             let inputs = changes::inputs(&first.query);
             for input in inputs {
                 if fingerprint.is_used(&input, policy)? {

@@ -48,7 +48,7 @@ use crate::registry::ManyWorlds;
 use crate::signals::{self, SIGNALS, SignalLog};
 use crate::stress::is_stress;
 use crate::warner::SimulatedWarner;
-use robogate_stats::format::{fixed, percent};
+use robogate_stats::format::percent;
 
 pub use built_in::BuiltIn;
 pub(crate) use built_in::hello_of;

@@ -277,6 +277,10 @@ impl<'e, 'a, 'p> Bodies<'e, 'a, 'p> {
             friction: Some(text(format!("{friction} {force}"))),
             stiffness: Some(text(format!("{stiffness} {force}/{unit}"))),
             rest: Some(text(format!("{rest} {unit}"))),
+            pitch: None,
+            takes: None,
+            within: None,
+            lean: None,
         };
         // The pose in the file is that where the joint has the value `ref`.
         let joint = Joint {
@@ -289,6 +293,8 @@ impl<'e, 'a, 'p> Bodies<'e, 'a, 'p> {
             friction,
             stiffness,
             rest,
+            pitch_m: 0.0,
+            thread: None,
         };
         self.groups[group].frame *= joint.motion(-reference);
         self.groups[group].joint = Some(table);
