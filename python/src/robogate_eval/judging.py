@@ -105,10 +105,20 @@ def _command(env: Any, policy: Any, options: dict[str, Any], arguments: list[str
         interpreter = [] if "python" in options else ["--python", sys.executable]
         code = _run(*arguments, "--env", env, *interpreter, *_named(policy))
     else:
-        with _served(env, policy, options.get("in_flight")) as (address, chosen):
+        # The command then proposes calls from Python, because no command line reaches an environment in this process.
+        with _served(env, policy, options.get("in_flight")) as (address, chosen), _set("ROBOGATE_CALLED_FROM_PYTHON"):
             code = _run(*arguments, "--simulator", address, *_named(chosen))
     if code not in WITH_RESULT:
         raise CommandError(code)
+
+
+@contextmanager
+def _set(name: str) -> Iterator[None]:
+    os.environ[name] = "1"
+    try:
+        yield
+    finally:
+        os.environ.pop(name, None)
 
 
 def _run(*arguments: str) -> int:

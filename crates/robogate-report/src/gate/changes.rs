@@ -31,14 +31,30 @@ pub struct Again {
     pub gate_elsewhere: String,
     /// Those of a run.
     pub run: String,
+    /// Whether a Python program called this command and has the environment: no command line reaches it.
+    pub from_python: bool,
 }
 
 impl Again {
     /// What the provenance of a run names. It does not name files of requirements, scenarios or profiles.
     pub fn of(analysis: &Analysis) -> Self {
         let same = same_subject(&analysis.provenance);
-        Self { gate: same.clone(), gate_elsewhere: same.clone(), run: same }
+        Self { gate: same.clone(), gate_elsewhere: same.clone(), run: same, from_python: false }
     }
+}
+
+/// A command with the options of the subject and these ones.
+fn command(again: &Again, verb: &str, given: &str, options: &[(&str, &str)]) -> String {
+    if again.from_python {
+        let plain = |text: &str| text.parse::<f64>().is_ok();
+        let option = |(name, value): &(&str, &str)| {
+            let name = if *name == "n" { "episodes" } else { name };
+            if plain(value) { format!(", {name}={value}") } else { format!(", {name}={value:?}") }
+        };
+        return format!("robogate_eval.{verb}(env, policy{})", options.iter().map(option).collect::<String>());
+    }
+    let option = |(name, value): &(&str, &str)| format!(" {}{name} {value}", if name.len() == 1 { "-" } else { "--" });
+    format!("robogate {verb}{given}{}", options.iter().map(option).collect::<String>())
 }
 
 /// The success rate that the gate requires of all scenarios: the target of the advice.
@@ -83,10 +99,11 @@ pub fn what_to_change(
         let command = match advice {
             _ if !analysis.subject.replayable => String::new(),
             Advice::Operate { .. } => {
-                format!("robogate gate{} --space LIMITED.toml --seed {seed}", again.gate_elsewhere)
+                command(again, "gate", &again.gate_elsewhere, &[("space", "LIMITED.toml"), ("seed", &seed.to_string())])
             }
             Advice::RunMore { episodes, .. } => {
-                format!("robogate run{} -n {} --seed {seed}", again.run, rounded_up(*episodes))
+                let episodes = rounded_up(*episodes).to_string();
+                command(again, "run", &again.run, &[("n", &episodes), ("seed", &seed.to_string())])
             }
             _ => String::new(),
         };
@@ -104,7 +121,8 @@ pub fn what_to_change(
                     "No parameter separates failures from successes in these episodes. A difference of 10 points needs about {}.",
                     counted(episodes, "episode")
                 );
-                let command = format!("robogate run{} -n {episodes} --seed {seed}", again.run);
+                let options = [("n", &*episodes.to_string()), ("seed", &seed.to_string())];
+                let command = command(again, "run", &again.run, &options);
                 add(&mut changes, text, if analysis.subject.replayable { command } else { String::new() });
             }
         }
@@ -141,7 +159,8 @@ pub fn what_to_change(
             }
         );
         let rounds = 2 * evaluation.planned_rounds.unwrap_or_else(|| evaluation.requirements.budget.rounds.into());
-        let command = format!("robogate gate{} --rounds {rounds} --seed {seed}", again.gate);
+        let options = [("rounds", &*rounds.to_string()), ("seed", &seed.to_string())];
+        let command = command(again, "gate", &again.gate, &options);
         add(&mut changes, text, if imported { String::new() } else { command });
     }
     changes

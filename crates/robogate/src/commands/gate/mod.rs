@@ -22,6 +22,9 @@ use crate::twins::NominalEpisodes;
 use robogate_report::Again;
 use robogate_session::{CONTROL_EPISODES, PolicyLocation};
 
+/// `robogate_eval` sets this variable if its own process has the environment.
+const CALLED_FROM_PYTHON: &str = "ROBOGATE_CALLED_FROM_PYTHON";
+
 pub(crate) use judge::evaluation_of;
 pub(crate) use question::real_evidence_for;
 pub(crate) use start::resume;
@@ -163,6 +166,7 @@ impl Gate {
             gate: subject.gate + &self.given.again("gate", &own),
             gate_elsewhere: subject.gate_elsewhere + &self.given.again("gate", &elsewhere),
             run: subject.run + &self.given.again("run", &elsewhere),
+            from_python: std::env::var_os(CALLED_FROM_PYTHON).is_some(),
         }
     }
 
