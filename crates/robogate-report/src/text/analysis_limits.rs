@@ -145,7 +145,8 @@ fn intervals(analysis: &Analysis) -> String {
     match analysis.provenance.source.as_ref().map(|source| source.stopping) {
         None => format!(
             "Intervals assume independent episodes and a number of episodes that was fixed in advance. For the points of a Latin \
-             hypercube they are usually too wide, except the interval with the known distribution of the parameters. {narrow}."
+             hypercube they are usually too wide, except the interval with the known distribution of the parameters. {narrow}; the bounds \
+             of a gate allow for that."
         ),
         Some(Some(Stopping::Fixed)) => {
             "Intervals assume independent episodes. According to the import, their number was fixed in \

@@ -85,7 +85,12 @@ fn row(run: &Run) -> Row {
         started: date_and_time(run.started_s),
         what: format!("{}{on}, {}", run.task, run.policy),
         verdict: verdict.to_owned(),
-        rate: rate.map_or_else(|| "-".to_owned(), |(rate, ci)| format!("{} ({})", percent(rate), percent_range(ci))),
+        rate: match rate {
+            // A gate chooses the number of its episodes by their results: its report has the interval that allows for that.
+            Some((rate, _)) if run.verdict.is_some() => percent(rate),
+            Some((rate, interval)) => format!("{} ({})", percent(rate), percent_range(interval)),
+            None => "-".to_owned(),
+        },
         episodes: run.summary.as_ref().map_or_else(|| "-".to_owned(), |summary| grouped(summary.episodes)),
     }
 }
