@@ -100,7 +100,7 @@ fn scene_with_robot_becomes_task() {
     let read = environment.engine().read_back().unwrap();
     assert_eq!((read.mass_kg, &read.own_friction[..]), (0.1, &[(0, 1.2)][..]));
     // The file that stays is MJCF that MuJoCo reads.
-    let xml = String::from_utf8(imported.files["scene.xml"].clone()).unwrap();
+    let xml = String::from_utf8(imported.files["my_scene.xml"].clone()).unwrap();
     robogate_physics::MujocoModel::from_xml(&xml).unwrap();
     assert!(!xml.contains("link1") && !xml.contains("texture"), "{xml}");
     // Without a goal, the file says that it is not finished.
@@ -150,7 +150,7 @@ fn robosuite_object_becomes_task() {
     let loose = import("door.xml", &Wishes { at: at.clone(), ..goal.clone() }, &mut find).unwrap();
     let problems = FileTask::read_with(&loose.text, &mut |name| Ok(loose.files[name].clone())).unwrap_err();
     let nested = problems.iter().find(|problem| problem.what.contains("which moves itself")).unwrap();
-    assert!(nested.file == "scene.xml" && nested.line > 1 && nested.hint.contains("weld"), "{nested}");
+    assert!(nested.file == "my_scene.xml" && nested.line > 1 && nested.hint.contains("weld"), "{nested}");
     let welded = Wishes { at, weld: vec!["latch_joint".to_owned()], ..goal };
     let imported = import("door.xml", &welded, &mut find).unwrap();
     let environment = runs(&task(&imported));
@@ -168,7 +168,7 @@ fn robosuite_object_becomes_task() {
     let alone = alone.replace("<joint name=\"latch_joint\" axis=\"1 0 0\" range=\"0 1.57\"/>", "");
     let mut find = files(&[("door.xml", &alone), ("meshes/knob.obj", CUBE)]);
     let free = Wishes { free: true, at: Some("50, 0, 30 cm".to_owned()), ..wishes("time() > 1 s") };
-    assert_eq!(import("door.xml", &free, &mut find).unwrap().bodies, ["part scene, which moves freely"]);
+    assert_eq!(import("door.xml", &free, &mut find).unwrap().bodies, ["part my_scene, which moves freely"]);
 }
 
 /// A cabinet as PartNet-Mobility has it: links with pieces of meshes, revolute and prismatic joints.

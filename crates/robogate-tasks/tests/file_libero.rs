@@ -183,9 +183,9 @@ fn libero_predicates_agree_with_its_code() {
                 })
                 .collect();
             let mut changes = vec![(old.to_owned(), format!("{}\n", new.join("\n")))];
-            let start = format!("\n[[part]]\nname = \"{object}\"\nstart = ");
+            let start = format!("\n[[part]]\nname = \"{object}\"\nspread = ");
             if imported.text.contains(&start) {
-                changes.push((start.clone(), start.replace("start = ", "# start = ")));
+                changes.push((start.clone(), start.replace("spread = ", "# spread = ")));
             }
             let task = changed(&imported, &changes);
             let rig = Rig { picture_px: [16; 2], ..Rig::default() };

@@ -152,6 +152,9 @@ impl Warnings {
         let (mut heard, mut ended) = (HeardPeriods::default(), false);
         for (line, period) in periods.lines {
             let mut events = Vec::new();
+            if let Ok(Period { robot, start: Some(_), .. }) = &period {
+                self.clear(robot, 0.0, format!("another episode of {robot} began without the end of this one"), emit);
+            }
             let taken = period.and_then(|period| {
                 self.feed.hear(&period, &mut |event| events.push(event)).map_err(|error| error.to_string())
             });
@@ -199,17 +202,9 @@ impl Warnings {
                 heard.warnings.push(SentWarning { robot, warning });
             }
             FeedEvent::Ended { robot, end, lead_s, .. } => {
-                let Some(at) = self.active.iter().position(|of| of.robot == robot) else { return };
-                let raised = self.active.swap_remove(at);
                 let lead = lead_s.map_or_else(String::new, |lead_s| format!(", {lead_s:.2} s after the warning"));
-                emit(Alarm {
-                    id: format!("{}/cleared", raised.id),
-                    happening: Happening::Cleared,
-                    time_s: raised.time_s + lead_s.unwrap_or(0.0),
-                    what: format!("the episode of {robot} ended with {end}{lead}"),
-                    look_at: Vec::new(),
-                    ..raised
-                });
+                let what = format!("the episode of {robot} ended with {end}{lead}");
+                self.clear(&robot, lead_s.unwrap_or(0.0), what, emit);
             }
             FeedEvent::Suspended { suspended, .. } => {
                 let raised = self.raised("*", 0.0, now_s);
@@ -222,6 +217,20 @@ impl Warnings {
                 });
             }
         }
+    }
+
+    /// Clears the alarm of a robot, if it has one.
+    fn clear(&mut self, robot: &str, after_s: f64, what: String, emit: &mut dyn FnMut(Alarm)) {
+        let Some(at) = self.active.iter().position(|of| of.robot == robot) else { return };
+        let raised = self.active.swap_remove(at);
+        emit(Alarm {
+            id: format!("{}/cleared", raised.id),
+            happening: Happening::Cleared,
+            time_s: raised.time_s + after_s,
+            what,
+            look_at: Vec::new(),
+            ..raised
+        });
     }
 
     fn raised(&self, robot: &str, at_s: f64, time_s: f64) -> Alarm {

@@ -76,6 +76,8 @@ pub(crate) struct Fit {
     pub(crate) stiffness: f64,
     /// Whether a vertical force moves the tip aside, as far as the axes of the arm are coupled. It always does with a cup.
     pub(crate) coupled: bool,
+    /// Whether a tool that is deeper than the hole is done: the part slips in the hand.
+    pub(crate) slips: bool,
 }
 
 /// Motion by touch.
@@ -291,8 +293,8 @@ impl Feel {
                     (at.x, at.y) = (at.x + CIRCLE_M * cos, at.y + CIRCLE_M * sin);
                 }
                 let over = tip - (self.fit.hole.z - self.fit.depth_m);
-                // A tool that goes deeper than the hole slips on the part.
-                self.stage = if over <= SEATED_M && idle >= 2 || over <= -SEATED_M {
+                let slips = self.fit.slips && over <= -SEATED_M;
+                self.stage = if over <= SEATED_M && idle >= 2 || slips {
                     Feeling::Release { ticks: 0 }
                 } else if idle >= LIFT_TICKS {
                     Feeling::Lift { ticks: 8, lifts: lifts + 1 }

@@ -133,6 +133,7 @@ impl Policy for Scripted {
                 insert_n: INSERT_N,
                 stiffness: briefing.arm_stiffness,
                 coupled: false,
+                slips: false,
             };
             Feel::new(&self.robot, fit)
         });

@@ -38,6 +38,7 @@ impl Plan<'_> {
             insert_n: force,
             stiffness: 1.0,
             coupled: true,
+            slips: true,
         };
         let pose = Isometry3::from_parts(Translation3::from(goal), down);
         self.planner.feel(phase, pose, self.careful(None), self.gripper, fit)

@@ -98,7 +98,8 @@ struct Body {
     path: String,
     /// Where it starts in the frame of the robot's base.
     place: Option<Isometry3<f64>>,
-    start: Option<String>,
+    /// Radius of the disc of its start.
+    spread_m: f64,
     spin_rad: f64,
 }
 
@@ -147,7 +148,7 @@ pub(super) fn import(path: &str, wishes: &Wishes, find: Find<'_>) -> Result<Impo
             name: Some(body.name.clone()),
             place: Some(body.place.unwrap_or_else(Isometry3::identity)),
             free: !body.is_fixture,
-            start: body.start.clone(),
+            spread_m: body.spread_m,
             spin_rad: body.spin_rad,
         });
     }
@@ -225,7 +226,7 @@ impl Cell<'_> {
                 file: format!("{}.xml", plain(category)),
                 path: model,
                 place: None,
-                start: None,
+                spread_m: 0.0,
                 spin_rad: if is_fixture { 0.0 } else { spin_rad },
             });
         }
@@ -279,10 +280,7 @@ impl Cell<'_> {
                             .insert(format!("the range of the place of fixture `{}`: it is in the middle", start[1]));
                     }
                 } else {
-                    let name = plain(&region.name);
-                    let size = Vector3::new((right - x).max(1e-4), (top - y).max(1e-4), 0.02);
-                    self.regions.insert(name.clone(), (None, Vector3::new(middle_x, middle_y, z), size));
-                    self.bodies[index].start = Some(name);
+                    self.bodies[index].spread_m = 0.25 * (right - x + top - y);
                 }
                 true
             }
@@ -307,7 +305,7 @@ impl Cell<'_> {
                 let at = below.translation.vector;
                 // It starts where the one below it does.
                 self.bodies[index].place = Some(Isometry3::from_parts(Translation3::new(at.x, at.y, z), turn));
-                if self.bodies[target].start.take().is_some() {
+                if std::mem::take(&mut self.bodies[target].spread_m) > 0.0 {
                     self.notes
                         .insert(format!("the range of the start of `{}`, which carries `{}`", start[2], start[1]));
                 }

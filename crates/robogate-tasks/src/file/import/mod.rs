@@ -12,7 +12,7 @@ use std::collections::BTreeMap;
 
 pub use self::write::UNFINISHED;
 use super::meshes::Find;
-use super::mjcf::xml;
+use super::mjcf::{plain, xml};
 
 /// What the user says about an imported task.
 #[derive(Debug, Clone, Default)]
@@ -65,12 +65,10 @@ pub fn import(path: &str, wishes: &Wishes, find: Find<'_>) -> Result<Imported, S
                 other => return Err(format!("{path}: the root element is <{other}>. Expected <mujoco> or <robot>")),
             };
             let mut imported = Imported::default();
-            let place = scene::add(&mut imported, root, path, "scene.xml", wishes, find)?;
-            write::task(
-                imported,
-                wishes,
-                &[write::Fragment { file: "scene.xml".to_owned(), place, ..Default::default() }],
-            )
+            // Names of bodies without one follow from that of the file.
+            let file = format!("{}.xml", plain(&wishes.name));
+            let place = scene::add(&mut imported, root, path, &file, wishes, find)?;
+            write::task(imported, wishes, &[write::Fragment { file, place, ..Default::default() }])
         }
         _ => Err(format!("{path}: unknown kind of file. Expected .xml or .mjcf (MuJoCo), .urdf, or .bddl (LIBERO)")),
     }

@@ -7,7 +7,7 @@ use nalgebra::Isometry3;
 use super::{Imported, Wishes};
 use crate::file::meshes::Find;
 use crate::file::mjcf::xml::{Element, folder_of, joined};
-use crate::file::mjcf::{place_of, plain};
+use crate::file::mjcf::{place_of, plain, state_contacts};
 
 /// A body with at least this many joints one after another is a robot.
 const JOINTS_OF_A_ROBOT: usize = 4;
@@ -57,6 +57,7 @@ pub(super) fn add(
         }
         kept
     });
+    state_contacts(&mut root);
     let textured = colors(&root);
     strip(&mut root, &textured, &mut notes);
     add_meshes(imported, &mut root, path, find)?;

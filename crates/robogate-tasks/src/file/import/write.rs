@@ -21,8 +21,8 @@ pub(super) struct Fragment {
     /// Its pose in the frame of the robot's base.
     pub(super) place: Option<Isometry3<f64>>,
     pub(super) free: bool,
-    /// A region over which the part is drawn, and how far it may be turned, in radians.
-    pub(super) start: Option<String>,
+    /// Radius of the disc from which the start of the part is drawn, in metres, and how far it may be turned, in radians.
+    pub(super) spread_m: f64,
     pub(super) spin_rad: f64,
 }
 
@@ -106,13 +106,9 @@ fn head(wishes: &Wishes, fragments: &[Fragment], tables: &str) -> String {
     }
     text.push_str(tables);
     for fragment in fragments {
-        let Some(name) = fragment.name.as_ref().filter(|_| fragment.start.is_some() || fragment.spin_rad > 0.0) else {
-            continue;
-        };
-        let _ = write!(text, "\n[[part]]\nname = {}\n", quoted(name));
-        if let Some(start) = &fragment.start {
-            let _ = writeln!(text, "start = {}", quoted(start));
-        }
+        let drawn = fragment.spread_m > 0.0 || fragment.spin_rad > 0.0;
+        let Some(name) = fragment.name.as_ref().filter(|_| drawn) else { continue };
+        let _ = write!(text, "\n[[part]]\nname = {}\nspread = \"{:.4} m\"\n", quoted(name), fragment.spread_m);
         if fragment.spin_rad > 0.0 {
             let _ = writeln!(text, "spin = \"{} rad\"", fragment.spin_rad);
         }
@@ -153,7 +149,7 @@ fn parameters(model: &Model, fragments: &[Fragment]) -> String {
             );
         };
         add(format!("{name}_mass_kg"), format!("{name}.mass"), format!("{low}, {high} kg"), "Mass of the part.");
-        let starts = fragments.iter().any(|of| of.start.is_some() && of.name.as_ref() == Some(name));
+        let starts = fragments.iter().any(|of| of.spread_m > 0.0 && of.name.as_ref() == Some(name));
         match &numbers.joint {
             None if !starts => {
                 add(format!("{name}_spread_m"), format!("{name}.spread"), "0, 3 cm".to_owned(), "Spread of its start.");

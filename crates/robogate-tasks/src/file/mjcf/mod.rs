@@ -222,6 +222,24 @@ pub(crate) fn place_of(root: &Element, body: &Element) -> nalgebra::Isometry3<f6
     source.pose(body, MAIN)
 }
 
+/// States the contact bits of every geom in the geom itself, in place of its class.
+pub(crate) fn state_contacts(root: &mut Element) {
+    fn state(source: &Source<'_, '_>, element: &mut Element, class: &str) {
+        let class = element.get("childclass").unwrap_or(class).to_owned();
+        if element.name == "geom" {
+            for bits in ["contype", "conaffinity"] {
+                if let Some(value) = source.word(element, &class, bits) {
+                    element.set(bits, &value);
+                }
+            }
+        }
+        element.children.iter_mut().for_each(|child| state(source, child, &class));
+    }
+    let (whole, mut problems) = (root.clone(), Problems::new(""));
+    let source = Source::new(&whole, &mut problems);
+    root.children.iter_mut().filter(|child| child.name == "worldbody").for_each(|world| state(&source, world, MAIN));
+}
+
 /// A pose as task.toml writes it: `at` and `rotation`.
 pub(crate) fn pose_texts(pose: &nalgebra::Isometry3<f64>) -> (String, String) {
     (attributes::position_text(&pose.translation.vector), attributes::rotation_text(&pose.rotation))
