@@ -1,7 +1,7 @@
 //! One recipe: the paper's window, a detector for each metric, and their alarms.
 
 use std::borrow::Cow;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
 use std::sync::Arc;
 
@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use crate::alarm::{Alarm, Happening, Level};
 use crate::baseline::Baseline;
 use crate::block_sums::{BlockSums, Inflation};
-use crate::cycle::{Cycle, ParameterValue};
+use crate::cycle::{Cycle, MOST_PARAMETERS, ParameterValue};
 use crate::detector::{Evidence, Factors};
 use crate::domain::{Domain, Judged, Validated};
 use crate::explanation;
@@ -71,11 +71,17 @@ pub struct RecipeState {
     /// A parameter that cycles report and the envelope does not have.
     #[serde(default)]
     foreign: Option<String>,
+    /// The events that cycles report.
+    #[serde(default)]
+    reported_events: BTreeSet<String>,
     pub(crate) robots: BTreeMap<String, RobotState>,
     /// The course of the success rate and of the evidence.
     #[serde(default)]
     pub(crate) series: Series,
 }
+
+/// Cycles after which a quantity that none reports is named.
+const FIRST: u64 = 10;
 
 /// An active alarm.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -236,6 +242,7 @@ impl Recipe {
             history: History::new(settings.history_cycles as usize),
             outside: Vec::new(),
             foreign: None,
+            reported_events: BTreeSet::new(),
             robots: BTreeMap::new(),
             series: Series::default(),
         };
@@ -367,9 +374,15 @@ impl Recipe {
         unreported.into_iter().chain(metrics.filter_map(doubt)).collect()
     }
 
+    /// Whether no cycle has reported an event, after the first ones.
+    fn lacks_event(&self, metric: Metric, settings: &Settings) -> bool {
+        let Metric::Event(index) = metric else { return false };
+        let name = settings.events.keys().nth(index.into());
+        self.state.cycles >= FIRST && name.is_some_and(|name| !self.state.reported_events.contains(name))
+    }
+
     /// The parameters of the envelope that no cycle has reported, after the first ones.
     fn unreported(&self) -> Option<Vec<&str>> {
-        const FIRST: u64 = 10;
         let named = self.outside().filter_map(|(parameter, tally)| (!tally.reported).then_some(parameter?.0));
         let names: Vec<&str> = named.collect();
         (self.state.cycles - self.state.began[Metric::Outside.index()] >= FIRST && !names.is_empty()).then_some(names)
@@ -418,9 +431,14 @@ impl Recipe {
     /// Processes one cycle. Passes raised and cleared alarms to `emit`. Returns how the parameters compare with the
     /// validated region.
     ///
-    /// Memory is allocated only at an alarm, for a new robot or failure mode, and when learning ends.
+    /// Memory is allocated only at an alarm, for a new robot, event or failure mode, and when learning ends.
     pub fn observe(&mut self, cycle: &Cycle, settings: &Settings, emit: &mut dyn FnMut(Alarm)) -> Judged {
         self.state.cycles += 1;
+        if let Some(new) = cycle.events.keys().find(|name| !self.state.reported_events.contains(*name))
+            && self.state.reported_events.len() < MOST_PARAMETERS
+        {
+            self.state.reported_events.insert(new.clone());
+        }
         let judged = self.judge(cycle);
         let robot = self.count_robot(cycle, settings);
         let binned = self.binned.as_ref();
@@ -666,6 +684,7 @@ impl Recipe {
             };
             let levels = match (&self.factors[i], &self.state.evidence[i]) {
                 (Some(_), Some(_)) if silent() => Err("no cycle reported a parameter of the validated region"),
+                (None, _) if self.lacks_event(metric, settings) => Err("no cycle reported this event"),
                 (Some(factors), Some(evidence)) => {
                     Ok(Level::ALL.map(|level| (evidence[level as usize].value(factors), settings.limit(metric, level))))
                 }
