@@ -52,6 +52,8 @@ struct Within<'c> {
     /// The frame of its body in that of the group, or of the base.
     frame: Isometry3<f64>,
     class: &'c str,
+    /// Whether its body states its mass, so that its geoms have none.
+    stated: bool,
 }
 
 /// The bodies of a file.
@@ -107,7 +109,8 @@ impl<'e, 'a, 'p> Bodies<'e, 'a, 'p> {
             element.children.iter().map(one).sum()
         }
         self.alone = count(world) == 1;
-        let within = Within { group: None, frame: self.place, class: world.get("childclass").unwrap_or(MAIN) };
+        let within =
+            Within { group: None, frame: self.place, class: world.get("childclass").unwrap_or(MAIN), stated: false };
         self.children(world, within);
     }
 
@@ -154,10 +157,11 @@ impl<'e, 'a, 'p> Bodies<'e, 'a, 'p> {
             self.moving(element, &joints, Within { frame, class, ..within })
         } else if fixed_top {
             let group = self.group(element, frame, within.group, false);
-            Within { group: Some(group), frame: Isometry3::identity(), class }
+            Within { group: Some(group), frame: Isometry3::identity(), class, ..within }
         } else {
             Within { frame, class, ..within }
         };
+        let within = Within { stated: element.first("inertial").is_some(), ..within };
         if let Some(group) = within.group {
             self.weigh(element, group, &within.frame);
         }
@@ -181,7 +185,7 @@ impl<'e, 'a, 'p> Bodies<'e, 'a, 'p> {
         if let Some(joint) = joints.first() {
             self.joint(joint, group, at.class);
         }
-        Within { group: Some(group), frame: Isometry3::identity(), class: at.class }
+        Within { group: Some(group), frame: Isometry3::identity(), ..at }
     }
 
     fn group(&mut self, element: &'e Element, frame: Isometry3<f64>, parent: Option<usize>, moves: bool) -> usize {
@@ -321,7 +325,10 @@ impl<'e, 'a, 'p> Bodies<'e, 'a, 'p> {
             Some(group) => (group, within.frame),
             None => (self.ground(element), self.place.inverse() * within.frame),
         };
-        let geom = self.source.geom(element, within.class, &frame, self.assets);
+        let mut geom = self.source.geom(element, within.class, &frame, self.assets);
+        if let Some(geom) = geom.as_mut().filter(|_| within.stated) {
+            (geom.mass, geom.is_mesh) = (None, false);
+        }
         self.groups[group].geoms.extend(geom);
     }
 
