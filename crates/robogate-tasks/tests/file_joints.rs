@@ -22,8 +22,8 @@ const ENGINES: &[EngineKind] = &[
     EngineKind::Rapier,
 ];
 
-fn on(task: &FileTask, engine: EngineKind) -> ArmEnvironment {
-    task.on(engine.robot("franka").engine(), Rig { picture_px: [16; 2], ..Rig::default() }).unwrap()
+fn on(task: &FileTask, engine: EngineKind, robot: &str) -> ArmEnvironment {
+    task.on(engine.robot(robot).engine(), Rig { picture_px: [16; 2], ..Rig::default() }).unwrap()
 }
 
 fn shipped(task: &str) -> FileTask {
@@ -118,7 +118,7 @@ fn joints_follow_their_laws() {
     );
     let task = FileTask::read(&text).unwrap_or_else(|problems| panic!("{problems:#?}"));
     for engine in ENGINES {
-        let episode = rollout(&mut on(&task, *engine), &mut Idle::default(), &scenario(0, &[]));
+        let episode = rollout(&mut on(&task, *engine, "franka"), &mut Idle::default(), &scenario(0, &[]));
         assert_eq!(episode.outcome, Outcome::Success, "{engine:?}");
         for (name, _, expected) in wanted {
             let found = episode.measures.get(name).unwrap();
@@ -136,7 +136,7 @@ fn parameters_of_joints_act() {
         .flat_map(|task| ENGINES.iter().map(move |engine| (task, engine)))
     {
         let declared = shipped(task);
-        let mut environment = on(&declared, *engine);
+        let mut environment = on(&declared, *engine, "franka");
         let spec = Arc::clone(environment.task());
         let space = declared.brought_space().unwrap();
         for parameter in spec.parameters.iter().filter(|parameter| space.position(&parameter.name).is_some()) {
@@ -152,14 +152,15 @@ fn parameters_of_joints_act() {
     }
 }
 
-/// The experts open, press, turn, insert and screw. In Rapier, parts slip in the fingers of the peg board's expert.
+/// The experts open, press, turn, insert and screw. In Rapier, pegs and screws slip in fingers; a cup holds the screw.
 #[test]
 fn experts_move_joints() {
     for (task, stages) in [("drawer", 2.0), ("button", 3.0), ("door", 2.0), ("peg_board", 3.0), ("screw_start", 2.0)] {
         for engine in ENGINES.iter().filter(|engine| task != "peg_board" || **engine == EngineKind::Mujoco) {
+            let robot = if task == "screw_start" { "ur5e" } else { "franka" };
             let declared = shipped(task);
-            let mut environment = on(&declared, *engine);
-            let mut expert = declared.controller(engine.robot("franka").robot, environment.engine().chain().clone());
+            let mut environment = on(&declared, *engine, robot);
+            let mut expert = declared.controller(engine.robot(robot).robot, environment.engine().chain().clone());
             let episode = rollout(&mut environment, &mut *expert, &scenario(0, &[]));
             assert_eq!(
                 (&episode.outcome, episode.measures.get("stages")),
