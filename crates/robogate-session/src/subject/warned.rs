@@ -50,10 +50,9 @@ impl Subject {
 
     /// A worker with the warner, if there is one.
     pub(super) fn beside(&self, environment: Box<dyn Environment>, policy: Box<dyn Policy>) -> Result<Worker, Fault> {
-        let (environment, policy) = match &self.warner {
-            None => (environment, policy),
-            Some(warner) => warner.between(environment, policy)?,
-        };
-        Ok(Worker { environment, policy })
+        match &self.warner {
+            None => Ok(Worker { environment, policy }),
+            Some(warner) => warner.between(environment, policy),
+        }
     }
 }

@@ -9,6 +9,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context, anyhow, bail};
+use robogate_campaign::Worker;
 use robogate_core::latency::Execution;
 use robogate_core::stress::Stress;
 use robogate_core::{
@@ -177,11 +178,7 @@ impl SimulatedWarner {
     }
 
     /// Puts the warner between this environment and this policy.
-    pub(crate) fn between(
-        &self,
-        environment: Box<dyn Environment>,
-        policy: Box<dyn Policy>,
-    ) -> Result<(Box<dyn Environment>, Box<dyn Policy>), Fault> {
+    pub(crate) fn between(&self, environment: Box<dyn Environment>, policy: Box<dyn Policy>) -> Result<Worker, Fault> {
         let task = self
             .declared_in(environment.task())
             .map_err(|why| Fault::new(robogate_core::FaultKind::Setup, why.to_string()))?;
@@ -206,7 +203,7 @@ impl SimulatedWarner {
             warned_s: None,
             slows,
         };
-        Ok((Box::new(warned), policy))
+        Ok(Worker { environment: Box::new(warned), policy })
     }
 }
 

@@ -120,7 +120,8 @@ fn warner(on_warning: OnWarning) -> SimulatedWarner {
 fn run(warner: &SimulatedWarner) -> (Episode, Vec<f64>, Vec<f64>) {
     let (commands, times) = (Arc::new(Mutex::new(Vec::new())), Arc::new(Mutex::new(Vec::new())));
     let line = Line(Arc::new(task()), 0.0, 0, Arc::clone(&commands));
-    let (mut environment, mut policy) = warner.between(Box::new(line), Box::new(Pusher(Arc::clone(&times)))).unwrap();
+    let worker = warner.between(Box::new(line), Box::new(Pusher(Arc::clone(&times)))).unwrap();
+    let Worker { mut environment, mut policy } = worker;
     let scenario = Scenario { index: 0, seed: Seed::campaign(1).episode(0), requested: Assignment::default() };
     let first = rollout(&mut *environment, &mut *policy, &scenario);
     assert_eq!(first, rollout(&mut *environment, &mut *policy, &scenario), "the second episode starts over");

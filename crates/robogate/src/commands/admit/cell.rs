@@ -102,7 +102,7 @@ fn of_camera(camera: &str, judged: &Provenance, fingerprint: Option<&Fingerprint
     let cameras = &judged.task.observation.cameras;
     let native = |name: &str| {
         let spec = cameras.iter().find(|of| of.name == name)?;
-        Some([spec.width as usize, spec.height as usize])
+        Some([spec.width, spec.height])
     };
     let check = compare_camera(fingerprint, name, &image, native);
     if !check.told && check.differences.is_empty() {
