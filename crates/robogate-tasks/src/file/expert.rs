@@ -431,19 +431,7 @@ impl<'a> Plan<'a> {
                 self.tracked = None;
                 self.follow(phase, *of, self.number(value), speed.as_ref())?;
             }
-            Motion::Press(of, force) => {
-                let Some(joint) = self.cell.numbers.parts[*of].joint else { return Ok(()) };
-                self.tracked = None;
-                if let Some(before) = self.before_contact(*of, &joint) {
-                    self.cell.joints[*of] = -before;
-                }
-                self.follow(phase, *of, joint.range[1], None)?;
-                // The arm yields under the force, so the command goes on by as much.
-                let along = self.cell.part(*of, 0.0).rotation * joint.motion(1.0).translation.vector;
-                let soft = compliance(self.cell.robot, self.chain, self.planner.at(), 1.0);
-                let further = along * (soft * along).dot(&along) * self.number(force);
-                self.line(phase, self.tool().translation.vector + further, self.careful(None))?;
-            }
+            Motion::Press(of, force) => self.press(phase, *of, self.number(force))?,
             Motion::Insert(place, depth, force, catch) => {
                 self.tracked = None;
                 self.insert(phase, place, [self.number(depth), self.number(force)], catch.as_ref())?;
@@ -553,6 +541,36 @@ impl<'a> Plan<'a> {
         poses.iter().fold(first, |done, pose| done.or_else(|_| self.to(phase, pose, limit)))
     }
 
+    /// Moves with a part to its upper stop, and presses against the stop with a force (N).
+    fn press(&mut self, phase: Word, of: usize, force: f64) -> Result<(), Unreachable> {
+        let Some(joint) = self.cell.numbers.parts[of].joint else { return Ok(()) };
+        self.tracked = None;
+        let along = if joint.kind == robogate_physics::JointKind::Slide {
+            if let Some(before) = self.before_contact(of, &joint) {
+                self.cell.joints[of] = -before;
+            }
+            self.follow(phase, of, joint.range[1], None)?;
+            self.cell.part(of, 0.0).rotation * joint.motion(1.0).translation.vector
+        } else {
+            // The tool is at a point of the part, and its tips follow this point. It keeps its rotation.
+            let (tool, along) = (self.tool(), self.tool().rotation * Vector3::z());
+            let in_part = self.cell.part(of, self.cell.joints[of]).inverse() * tool;
+            let at = self.cell.part(of, joint.range[1]) * in_part;
+            self.line(phase, at.translation.vector - along * self.tip_m(), self.careful(None))?;
+            self.cell.joints[of] = joint.range[1];
+            along
+        };
+        // The arm yields under the force, so the command goes on by as much. Friction holds the tips: they do not evade sideways.
+        let soft = compliance(self.cell.robot, self.chain, self.planner.at(), 1.0);
+        let yields = soft.try_inverse().map_or((soft * along).dot(&along), |stiff| 1.0 / (stiff * along).dot(&along));
+        self.line(phase, self.tool().translation.vector + along * yields * force, self.careful(None))
+    }
+
+    /// The distance from the tool centre point to the tips of the fingers. 0 for a cup.
+    fn tip_m(&self) -> f64 {
+        self.cell.robot.settings.gripper.jaw().map_or(0.0, |jaw| jaw.tip_m)
+    }
+
     /// The distance from the tips of the gripper to a part at the start of its slide, in metres. `None` if the tool does not point along
     /// the slide: its side presses then.
     fn before_contact(&self, of: usize, joint: &robogate_physics::Joint) -> Option<f64> {
@@ -560,13 +578,12 @@ impl<'a> Plan<'a> {
         let local = joint.motion(1.0).translation.vector;
         let along = part.rotation * local;
         let facing = (tool.rotation * Vector3::z()).dot(&along);
-        let tip_m = self.cell.robot.settings.gripper.jaw().map_or(0.0, |jaw| jaw.tip_m);
         let nearest = |shape: &robogate_physics::Part| {
             let at = shape.pose.translation.vector.dot(&local);
             at + shape.primitive.extent(&(shape.pose.rotation.inverse() * local))[0]
         };
         let face = self.cell.numbers.parts[of].shapes.iter().map(nearest).fold(f64::INFINITY, f64::min);
-        let tip = tool.translation.vector.dot(&along) + tip_m * facing;
+        let tip = tool.translation.vector.dot(&along) + self.tip_m() * facing;
         (facing > POINTS).then(|| part.translation.vector.dot(&along) + face - tip)
     }
 

@@ -145,9 +145,7 @@ pub(super) fn skill(compiler: &mut Compiler<'_>, node: &Node) -> Result<Skill, W
         }
         ("press", [part, force]) => {
             let of = names.part(part)?;
-            if names.joint(part.at, of)? != Dimension::LENGTH {
-                return Err((part.at, "a part on a hinge cannot be pressed. Expected one on a slide".to_owned()));
-            }
+            names.joint(part.at, of)?;
             Motion::Press(of, compiler.constant(force, Dimension::FORCE)?)
         }
         ("insert", [place, depth, force, catch @ ..]) if catch.len() < 2 => {
