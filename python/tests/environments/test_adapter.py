@@ -643,6 +643,73 @@ class Faults(unittest.TestCase):
         with self.assertRaisesRegex(DeclarationError, "reports no success"):
             sliding_box(Silent)
 
+class Worn(SlidingBox):
+    """The reset leaves the wear as it is, and the start depends on it."""
+
+    wear = 1.0
+    resets = 0
+
+    def reset(self, seed=None, options=None):
+        if seed == -1:
+            raise RuntimeError("no start")
+        observation, info = super().reset(seed=seed, options=options)
+        self.resets += 1
+        self.model.opt.viscosity = 0.01 * self.wear
+        return observation, info
+
+
+def wear(env, value):
+    env.unwrapped.wear = value
+
+
+class KnobsAreUndone(unittest.TestCase):
+    def test_an_episode_does_not_see_the_knobs_of_others(self):
+        for nominal in (None, 1.0):
+            knob = Knob("wear", wear, lambda env: env.unwrapped.wear, 0.0, 4.0, nominal=nominal)
+            adapter = sliding_box(Worn, knobs=[knob])
+            env = adapter._env.unwrapped
+            _, first = run(adapter)
+            _, other = run(adapter, wear=3.5)
+            self.assertEqual(env.wear, 3.5)
+            _, again = run(adapter)
+            self.assertEqual((env.wear, env.model.opt.viscosity), (1.0, 0.01))
+            self.assertEqual(first, again)
+            # From now on the value is set before each reset, which runs once.
+            run(adapter, wear=2.0)
+            before = env.resets
+            _, varied = run(adapter, wear=3.5)
+            self.assertEqual(env.resets, before + 1)
+            self.assertEqual(other, varied)
+            _, last = run(adapter)
+            self.assertEqual(first, last)
+
+    def test_a_knob_that_the_reset_uses_is_set_before_it(self):
+        knob = Knob("wear", wear, lambda env: env.unwrapped.wear, 0.0, 4.0, nominal=1.0, before_reset=True)
+        adapter = sliding_box(Worn, knobs=[knob])
+        env = adapter._env.unwrapped
+        viscosities = []
+        for parameters in ({}, {"wear": 3.0}, {"wear": 2.0}, {}, {}):
+            run(adapter, **parameters)
+            viscosities.append(round(100 * env.model.opt.viscosity, 6))
+        self.assertEqual(viscosities, [1.0, 3.0, 2.0, 1.0, 1.0])
+
+    def test_an_environment_may_raise_in_some_starts(self):
+        class Raises(SlidingBox):
+            def reset(self, seed=None, options=None):
+                observation, info = super().reset(seed=seed, options=options)
+                if self.np_random.uniform() < 0.6:
+                    raise RuntimeError("cannot place the part")
+                return observation, info
+
+        adapter = sliding_box(Raises)
+        self.assertTrue(adapter.deterministic)
+
+        class Never(SlidingBox):
+            def reset(self, seed=None, options=None):
+                raise RuntimeError("no licence")
+
+        with self.assertRaisesRegex(RuntimeError, "no licence"):
+            sliding_box(Never)
 
 if __name__ == "__main__":
     unittest.main()

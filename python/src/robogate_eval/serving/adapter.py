@@ -27,6 +27,7 @@ from .offer import is_bound, offered
 from .probe import Probe
 from .scoring import Scoring, truth
 from .spaces import Observations, actions_of, same
+from .starting import STARTS, first_reset
 from .timing import control_period, step_limit
 from .trajectory import Trajectory, owned
 
@@ -40,9 +41,6 @@ CARRIED = (
     "success in the first control period, where another instance of the environment with the same seed and action has none: an earlier "
     "episode has an effect. Let the reset of the environment set everything that its criterion uses"
 )
-
-# Starts that are tried until two can be checked: an environment may raise in some.
-STARTS = 12
 
 # First actions that are tried beside those at the ends of their range, where the first action of an episode succeeds.
 OTHER_ACTIONS = 5
@@ -77,7 +75,7 @@ class Adapter:
         rest = self._actions.decode(rest)
         self._disturbances = Disturbances(lengths, rest if known else None, bool(self._observations.images))
         doing("reset")
-        first = self._first_reset()
+        first = first_reset(self._env)
         if not isinstance(first, tuple) or len(first) != 2:
             raise DeclarationError(f"reset returned {_values(first)}. Expected observation and info, as in Gymnasium")
         if holds_tensors(first):
@@ -136,21 +134,6 @@ class Adapter:
         self.knobs = knobs
         self._by_parameter = {knob.parameter: knob for knob in knobs}
         self._order = {knob.parameter: position for position, knob in enumerate(knobs)}
-
-    def _first_reset(self) -> Any:
-        first: Exception | None = None
-        # An environment may raise in some starts.
-        for seed in range(STARTS):
-            try:
-                return self._env.reset(seed=seed)
-            except Exception as error:
-                if isinstance(error, TypeError) and "seed" in str(error):
-                    raise DeclarationError(
-                        "reset takes no seed. Expected Gymnasium's reset(seed=..., options=...), from which all randomness of an "
-                        "episode follows. The package shimmy translates environments of the older gym"
-                    ) from None
-                first = first or error
-        raise first
 
     def hello(self) -> dict:
         environment, model = self._environment, self._model
@@ -264,12 +247,19 @@ class Adapter:
             return
         from robogate_bridge import Scenario
 
-        doing("reset")
-        self.reset(Scenario(index=3, seed=0, parameters={}))
-        random, ending = np.random.default_rng(3), None
-        while ending is None:
-            doing("step")
-            ending = self.step(Action("vector", self._random(random)))["ending"]
+        raised: Raised | None = None
+        for index in range(3, 3 + STARTS):
+            random, ending = np.random.default_rng(index), None
+            try:
+                doing("reset")
+                self.reset(Scenario(index=index, seed=0, parameters={}))
+                while ending is None:
+                    doing("step")
+                    ending = self.step(Action("vector", self._random(random)))["ending"]
+                return
+            except Raised as problem:
+                raised = raised or problem
+        raise raised
 
     def rehearse(self, doing: Callable[[str], None]) -> None:
         """Run one episode with the first declared policy, otherwise with random actions: so the process imports and opens what any episode

@@ -11,6 +11,7 @@ from .environment import DeclarationError, Task, innermost
 from .hints import unknown
 from .layers import attribute, layers
 from .model import Model
+from .starting import first_reset
 
 # What environments and wrappers call the number of control periods of an episode.
 LIMITS = ("max_path_length", "max_episode_steps", "_max_episode_steps", "horizon")
@@ -72,7 +73,7 @@ def _simulated_period(env: Any, model: Model, rest: Any, doing: Callable[[str], 
     env.step(rest)
     after = float(model.data.time)
     doing("reset")
-    env.reset(seed=0)
+    first_reset(env)
     model.bind(env)
     return after - before
 
