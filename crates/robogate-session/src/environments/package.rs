@@ -70,6 +70,7 @@ const PACKAGE: &[(&str, &str)] = &[
     embedded!("robogate_eval/serving/sandbox.py"),
     embedded!("robogate_eval/serving/scoring.py"),
     embedded!("robogate_eval/serving/spaces.py"),
+    embedded!("robogate_eval/serving/starting.py"),
     embedded!("robogate_eval/serving/timing.py"),
     embedded!("robogate_eval/serving/trajectory.py"),
     embedded!("robogate_eval/serving/view_knobs.py"),
