@@ -421,7 +421,7 @@ impl Rules for FileTask {
     fn only_here(&self) -> Option<&'static str> {
         self.model.is_local().then_some(
             "the file of the task has meshes, joints, motions or contacts that only an engine in this process simulates and reports: \
-             use --engine mujoco or --engine rapier, without --simulator",
+             use `--engine mujoco`, without --simulator",
         )
     }
 

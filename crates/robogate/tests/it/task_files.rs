@@ -194,8 +194,6 @@ fn broken_tasks_are_usage_errors() {
         2,
         &["cannot read cell/task.toml", "robogate tasks init cell"],
     );
-    let rapier = ["run", "--task", &shipped("drawer"), "--engine", "rapier", "-n", "1"];
-    assert_exit_in(at, &rapier, 2, &["Use --engine mujoco"]);
 }
 
 /// A task without an expert runs with a policy, and says so without one.

@@ -93,6 +93,10 @@ class Adapter:
         # `dropped`: knobs that do not act, with the reason.
         knobs, self.dropped = offered(environment, env, self._model, self._observations, self._disturbances, self._observe, self._period)
         self._offer(knobs)
+        if own := [knob for knob in knobs if self._is_own(knob)]:
+            self._undoing.learn(env, own, lambda: first_reset(env))
+            if self._model is not None:
+                self._model.bind(env)
         self.dropped = [*self.dropped, *self._observations.skipped]
         # Whether a reset of the check below built another model.
         self._changes = False
@@ -366,9 +370,12 @@ class Adapter:
         _seed_generators(_seed(scenario))
         return self._env.reset(seed=_seed(scenario))
 
+    def _is_own(self, knob: Knob) -> bool:
+        return any(knob is one for one in self._environment.knobs)
+
     def _set(self, knob: Knob, value: Any) -> None:
         # RoboGate's own knobs undo themselves.
-        if any(knob is one for one in self._environment.knobs):
+        if self._is_own(knob):
             self._undoing.set(knob, self._env, value)
         else:
             knob.set(self._env, value)

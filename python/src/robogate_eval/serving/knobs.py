@@ -6,6 +6,7 @@ import hashlib
 import re
 import unicodedata
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from numbers import Real
 from typing import Any
@@ -135,6 +136,24 @@ class Undoing:
         self._before: list[tuple[Knob, Any]] = []
         self._now: list[tuple[Knob, Any]] = []
 
+    def learn(self, env: Any, knobs: Sequence[Knob], reset: Callable[[], Any]) -> None:
+        """Find the knobs that a reset leaves as they are, before the first episode: each episode then has one reset."""
+        try:
+            for knob in knobs:
+                other = _other(knob, _found(knob, env, knob.nominal))
+                if other is not None:
+                    self.set(knob, env, other)
+            self._before, self._now = self._now, []
+            reset()
+            self.kept(env)
+        except Exception:
+            # What the environment does not accept outside of an episode is found in the episodes.
+            for knob, _ in self._now:
+                with suppress(Exception):
+                    knob.set(env, self._first[knob.parameter])
+            self._before, self._now = [], []
+        reset()
+
     def begin(self, env: Any) -> None:
         """Before the reset of an episode."""
         self._before, self._now = self._now, []
@@ -160,6 +179,17 @@ class Undoing:
         for knob in found:
             knob.set(env, self._first[knob.parameter])
         return bool(found)
+
+
+def _other(knob: Knob, value: Any) -> Any:
+    """A value that differs from this one. None if there is none."""
+    if value is None:
+        return None
+    if knob.choices:
+        return next((choice for choice in knob.choices if choice != value), None)
+    if isinstance(value, str):
+        return None
+    return max((knob.low, knob.high), key=lambda end: abs(end - value))
 
 
 def _found(knob: Knob, env: Any, otherwise: Any) -> Any:
