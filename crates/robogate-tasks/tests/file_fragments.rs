@@ -1,5 +1,5 @@
 //! Tasks with MJCF files: the same physics as bodies that task.toml states itself, and friction and colour of single bodies.
-#![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a test fails by panicking, and prints its figures")]
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 mod common;
 

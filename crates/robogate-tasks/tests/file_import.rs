@@ -1,5 +1,4 @@
 //! Tasks imported from scenes of MuJoCo, objects of robosuite, and URDF.
-#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 mod common;
 

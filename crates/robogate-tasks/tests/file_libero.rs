@@ -1,5 +1,5 @@
 //! Tasks imported from LIBERO, whose files some machines have, and its predicates compared with LIBERO's own code.
-#![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a test fails by panicking, and prints its figures")]
+#![expect(clippy::unwrap_used, reason = "a test fails by panicking")]
 
 mod common;
 

@@ -159,13 +159,16 @@ pub(super) fn import(path: &str, wishes: &Wishes, find: Find<'_>) -> Result<Impo
     write::task_with(imported, &wishes, &fragments, &tables)
 }
 
+/// A box: the body it is in, its centre and its edges.
+type Box3 = (Option<String>, Vector3<f64>, Vector3<f64>);
+
 struct Cell<'t> {
     task: &'t Task,
     workspace: &'static Workspace,
     bodies: Vec<Body>,
     notes: BTreeSet<String>,
-    /// Regions of conditions: name, the body it is in, centre and edges.
-    regions: BTreeMap<String, (Option<String>, Vector3<f64>, Vector3<f64>)>,
+    /// Regions of conditions, by name.
+    regions: BTreeMap<String, Box3>,
 }
 
 /// The orientation in which LIBERO puts an object down: the mean, and how far it varies about the vertical (rad).
