@@ -24,6 +24,8 @@ use crate::arm::{
 const CAREFUL_M_S2: f64 = 0.8;
 /// Speed of a tool that holds or pushes something, in m/s, if the file states none.
 const CAREFUL_M_S: f64 = 0.1;
+/// Half of the width of two closed fingers, in metres.
+const HALF_FINGER_M: f64 = 0.01;
 /// Cosine of the angle between tool and slide below which the tips of the gripper press.
 const POINTS: f64 = 0.9;
 /// Speed of a tool that turns, in rad/s, if the file states none.
@@ -545,18 +547,22 @@ impl<'a> Plan<'a> {
     fn press(&mut self, phase: Word, of: usize, force: f64) -> Result<(), Unreachable> {
         let Some(joint) = self.cell.numbers.parts[of].joint else { return Ok(()) };
         self.tracked = None;
+        let mut force = force;
         let along = if joint.kind == robogate_physics::JointKind::Slide {
+            force += (joint.stiffness * (joint.range[1] - joint.rest)).max(0.0);
             if let Some(before) = self.before_contact(of, &joint) {
                 self.cell.joints[of] = -before;
             }
             self.follow(phase, of, joint.range[1], None)?;
             self.cell.part(of, 0.0).rotation * joint.motion(1.0).translation.vector
         } else {
-            // The tool is at a point of the part, and its tips follow this point. It keeps its rotation.
+            // The tool is at a point of the part, and its tips follow this point. It keeps its rotation, so that the edge of the fingers
+            // meets a part that leans first.
             let (tool, along) = (self.tool(), self.tool().rotation * Vector3::z());
             let in_part = self.cell.part(of, self.cell.joints[of]).inverse() * tool;
             let at = self.cell.part(of, joint.range[1]) * in_part;
-            self.line(phase, at.translation.vector - along * self.tip_m(), self.careful(None))?;
+            let first = if self.tip_m() > 0.0 { HALF_FINGER_M * joint.range[1].sin().abs() } else { 0.0 };
+            self.line(phase, at.translation.vector - along * (self.tip_m() + first), self.careful(None))?;
             self.cell.joints[of] = joint.range[1];
             along
         };

@@ -92,8 +92,8 @@ fn record_contains_task() {
     fs::create_dir(at.join("cell")).unwrap();
     let text = fs::read_to_string(Path::new(&shipped("button")).join("task.toml")).unwrap();
     fs::write(at.join("cell/task.toml"), &text).unwrap();
-    verb(at, "run --task cell -n 6 --threads 1 --out one", 0, &[]);
-    verb(at, "run --task cell -n 6 --threads 2 --out two", 0, &[]);
+    verb(at, "run --task cell --nominal -n 6 --threads 1 --out one", 0, &[]);
+    verb(at, "run --task cell --nominal -n 6 --threads 2 --out two", 0, &[]);
     assert_eq!(
         fs::read(at.join("one/dictionary.parquet")).unwrap(),
         fs::read(at.join("two/dictionary.parquet")).unwrap()

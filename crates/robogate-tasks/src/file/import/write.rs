@@ -141,7 +141,9 @@ fn parameters(model: &Model, fragments: &[Fragment]) -> String {
     let mut text = String::from("\n# What varies. The ranges are guesses: state those of your cell.\n");
     for (part, numbers) in model.parts.iter().zip(&model.nominal.parts).take(MOST) {
         let name = &part.name;
-        let [low, high] = [0.7, 1.5].map(|factor| (factor * numbers.mass_kg).clamp(1e-3, 100.0));
+        // Three digits of a guess are enough to read.
+        let short = |x: f64| format!("{x:.2e}").parse::<f64>().unwrap_or(x);
+        let [low, high] = [0.7, 1.5].map(|factor| short(factor * numbers.mass_kg).clamp(1e-3, 100.0));
         let mut add = |parameter: String, sets: String, range: String, meaning: &str| {
             let _ = write!(
                 text,
@@ -160,7 +162,7 @@ fn parameters(model: &Model, fragments: &[Fragment]) -> String {
                     robogate_physics::JointKind::Hinge => (Dimension::TORQUE, "nm", 1.0),
                     _ => (Dimension::FORCE, "n", 5.0),
                 };
-                let high = (2.0 * joint.friction).max(most);
+                let high = short(2.0 * joint.friction).max(most);
                 let range = format!("0, {high} {}", force.unit());
                 add(
                     format!("{name}_stick_{unit}"),
