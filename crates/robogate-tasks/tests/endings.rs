@@ -80,13 +80,14 @@ fn coming_down_on_a_wide_part_is_a_hit() {
     // The fingers come down on the part, for less than a control period.
     let measured = |name: &str| episode.measures.get(name);
     let peak = measured("peak_contact_force_n");
-    assert_eq!(measured("peak_force_fingers_part_n"), peak);
-    assert!(measured("held_force_fingers_part_n").unwrap() < 0.2 * peak.unwrap());
+    let both = measured("peak_force_fingers_part_n").unwrap();
+    assert!(both > 1.5 * peak.unwrap() && both <= 2.0 * peak.unwrap(), "{both} of {peak:?}");
+    assert!(measured("held_force_fingers_part_n").unwrap() < 0.2 * both);
     assert_eq!(measured("peak_force_arm_surroundings_n"), None);
     let over = measured("contact_over_limit_s").unwrap();
     assert!(over > 0.0 && over < 0.05, "{over}");
     let impulse = measured("peak_contact_impulse_n_s").unwrap();
-    assert!(impulse > 0.0 && impulse < 0.06 * peak.unwrap(), "{impulse}");
+    assert!(impulse > 0.0 && impulse < 0.06 * both, "{impulse}");
 }
 
 /// A part that only loses contact with the table for a moment is not off it.

@@ -133,7 +133,7 @@ fn broken_meshes_are_problems_with_lines() {
         (
             clamp,
             "{ mesh = \"meshes/clamp.obj\", box = \"1, 1, 1 cm\" }",
-            "exactly one of `box`, `cylinder`, `sphere` and `mesh`",
+            "exactly one of `box`, `cylinder`, `capsule`, `sphere` and `mesh`",
         ),
         ("density = \"2.7 g/cm^3\"", "density = \"2.7 g/cm^3\"\nmass = \"1 kg\"", "needs either `mass` or `density`"),
         ("density = \"2.7 g/cm^3\"", "", "`clamp` needs either `mass` or `density`"),

@@ -171,7 +171,9 @@ impl Source<'_, '_> {
     fn color(&mut self, element: &Element, class: &str, assets: &Assets) -> Option<String> {
         let material = self.word(element, class, "material").and_then(|name| assets.materials.get(&name).copied());
         let stated = self.value(element, class, "rgba").is_some();
-        let rgba = if stated { self.numbers::<4>(element, class, "rgba") } else { material };
+        let own = if stated { self.numbers::<4>(element, class, "rgba") } else { None };
+        // MuJoCo takes this value, its default, as none.
+        let rgba = own.filter(|rgba| *rgba != [0.5, 0.5, 0.5, 1.0]).or(material).or(own);
         let [r, g, b, a] = rgba?;
         let byte = |x: f64| (255.0 * x.clamp(0.0, 1.0)).round() as u8;
         (a > 0.0).then(|| format!("#{:02x}{:02x}{:02x}", byte(r), byte(g), byte(b)))
