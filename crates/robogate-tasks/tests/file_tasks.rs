@@ -27,7 +27,8 @@ const SHIPPED: [(&str, &[&str]); 11] = [
     ("kitting", &["franka", "ur5e"]),
     ("bin_picking", &["franka", "ur5e"]),
     ("pipe_clamp", &["franka", "ur5e"]),
-    ("peg_board", &["franka", "ur5e"]),
+    // A UR5e succeeds in 37 of 40 (docs/reference/task-file.md).
+    ("peg_board", &["franka"]),
     ("screw_start", &["franka", "ur5e"]),
 ];
 
