@@ -40,6 +40,16 @@ pub enum Command {
     Vector(Vec<f64>),
 }
 
+impl Command {
+    /// Its numbers; those of a motion of the tool are translation and rotation.
+    pub fn numbers(&self) -> Vec<f64> {
+        match self {
+            Self::JointPosition(numbers) | Self::Vector(numbers) => numbers.clone(),
+            Self::ToolDelta { translation_m, rotation_rad } => [*translation_m, *rotation_rad].concat(),
+        }
+    }
+}
+
 /// The specification of the actions that a task accepts.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ActionSpec {

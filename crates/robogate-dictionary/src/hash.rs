@@ -2,6 +2,9 @@
 
 use std::borrow::Borrow;
 use std::fmt::Write;
+use std::fs::File;
+use std::io::{self, Read};
+use std::path::Path;
 use std::sync::Arc;
 
 use robogate_core::TaskSpec;
@@ -52,6 +55,27 @@ pub fn dataset_hash<E: Borrow<Entry>>(
         hash.update(entry?.borrow());
     }
     Ok(hash.finish())
+}
+
+/// Size and SHA-256 (hex) of a file, in bounded memory. `also` receives its content.
+///
+/// # Errors
+/// If the file cannot be read, has more than `most` bytes, or `also` fails.
+pub fn file_digest(path: &Path, most: u64, also: &mut dyn FnMut(&[u8]) -> io::Result<()>) -> io::Result<(u64, String)> {
+    let (mut file, mut hash, mut bytes) = (File::open(path)?, Sha256::new(), 0);
+    let mut part = vec![0; 1 << 20];
+    loop {
+        let read = file.read(&mut part)?;
+        if read == 0 {
+            return Ok((bytes, hex(&hash.finalize())));
+        }
+        bytes += read as u64;
+        if bytes > most {
+            return Err(io::Error::new(io::ErrorKind::FileTooLarge, format!("more than {} GiB", most >> 30)));
+        }
+        hash.update(&part[..read]);
+        also(&part[..read])?;
+    }
 }
 
 /// Formats bytes as lower-case hexadecimal.

@@ -42,7 +42,7 @@ pub use columns::{FixedColumn, Kind, check_columns, fixed_columns};
 pub use entry::{Entry, Label};
 pub use error::{DictionaryError, RowPlace};
 pub use formula::marked as spreadsheet_cell;
-pub use hash::{DatasetHash, dataset_hash, hex};
+pub use hash::{DatasetHash, dataset_hash, file_digest, hex};
 pub use identity::{TaskIdentity, suite_sha256};
 pub use journal::{Journal, PlanHash, Recovery};
 pub use journal_tail::JournalTail;

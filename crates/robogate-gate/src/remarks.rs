@@ -44,16 +44,17 @@ pub(crate) fn clipped_actions<'a>(trials: impl Iterator<Item = &'a Trial>) -> Op
 
 /// The number of distinct trajectories among the valid episodes. `None` if a trajectory was not recorded.
 ///
-/// Episodes with equal observations and different results, such as those of a part whose friction nobody sees, are no copies.
+/// Episodes with equal observations and different results, such as those of a part whose friction cannot be seen, are not copies.
 pub(crate) fn distinct_trajectories<'a>(trials: impl Iterator<Item = &'a Trial>) -> Option<u64> {
-    // The endings and measures of each trajectory.
-    let mut trajectories: BTreeMap<u64, Vec<String>> = BTreeMap::new();
+    let bits = |trial: &'a Trial| trial.measures.iter().map(|(name, value)| (name, value.to_bits()));
+    // The first trial of each trajectory, the number of its trials, and whether their results differ.
+    let mut trajectories: BTreeMap<u64, (&Trial, u64, bool)> = BTreeMap::new();
     for trial in trials.filter(|trial| trial.ending.is_valid()) {
-        let result = format!("{:?} {:?}", trial.ending, trial.measures);
-        trajectories.entry(trial.trajectory?).or_default().push(result);
+        let (first, count, differ) = trajectories.entry(trial.trajectory?).or_insert((trial, 0, false));
+        *count += 1;
+        *differ |= trial.ending != first.ending || !bits(trial).eq(bits(first));
     }
-    let differ = |results: &Vec<String>| results.iter().any(|result| *result != results[0]);
-    let distinct = trajectories.values().map(|results| if differ(results) { results.len() as u64 } else { 1 }).sum();
+    let distinct = trajectories.values().map(|(_, count, differ)| if *differ { *count } else { 1 }).sum();
     Some(distinct).filter(|distinct| *distinct > 0)
 }
 

@@ -1,5 +1,7 @@
 //! One recipe: the paper's window, a detector for each metric, and their alarms.
 
+mod unreported;
+
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
@@ -11,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use crate::alarm::{Alarm, Happening, Level};
 use crate::baseline::Baseline;
 use crate::block_sums::{BlockSums, Inflation};
-use crate::cycle::{Cycle, MOST_PARAMETERS, ParameterValue};
+use crate::cycle::{Cycle, ParameterValue};
 use crate::detector::{Evidence, Factors};
 use crate::domain::{Domain, Judged, Validated};
 use crate::explanation;
@@ -79,9 +81,6 @@ pub struct RecipeState {
     #[serde(default)]
     pub(crate) series: Series,
 }
-
-/// Cycles after which a quantity that none reports is named.
-const FIRST: u64 = 10;
 
 /// An active alarm.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -354,40 +353,6 @@ impl Recipe {
         self.state.inflation.get(of.index()).copied().flatten()
     }
 
-    /// What the detectors do not watch, and why the promise on false alarms is approximate: one sentence each.
-    pub fn doubts(&self, settings: &Settings) -> Vec<String> {
-        let unreported = self.unreported().map(|names| {
-            let foreign = self.state.foreign.as_ref();
-            let instead = foreign.map_or_else(String::new, |name| {
-                format!(" Cycles report {name}, which is no parameter of the validated region.")
-            });
-            format!(
-                "No cycle reported {}: nothing watches whether it stays in the validated region.{instead}",
-                names.join(", ")
-            )
-        });
-        let metrics = Metric::all(settings).filter(|metric| *metric != Metric::Robot);
-        let doubt = |metric: Metric| {
-            let depends = explanation::depends(self.inflation(metric)?);
-            Some(format!("The promise is approximate for the {}: {depends}.", metric.label(settings)))
-        };
-        unreported.into_iter().chain(metrics.filter_map(doubt)).collect()
-    }
-
-    /// Whether no cycle has reported an event, after the first ones.
-    fn lacks_event(&self, metric: Metric, settings: &Settings) -> bool {
-        let Metric::Event(index) = metric else { return false };
-        let name = settings.events.keys().nth(index.into());
-        self.state.cycles >= FIRST && name.is_some_and(|name| !self.state.reported_events.contains(name))
-    }
-
-    /// The parameters of the envelope that no cycle has reported, after the first ones.
-    fn unreported(&self) -> Option<Vec<&str>> {
-        let named = self.outside().filter_map(|(parameter, tally)| (!tally.reported).then_some(parameter?.0));
-        let names: Vec<&str> = named.collect();
-        (self.state.cycles - self.state.began[Metric::Outside.index()] >= FIRST && !names.is_empty()).then_some(names)
-    }
-
     /// Adds the score of a cycle to the sums of blocks, and looks for dependence now and then.
     fn add_to_sums(&mut self, symbols: &Symbols, settings: &Settings) {
         let bins = self.binned.as_ref().map_or(1, |binned| binned.edges.len()).max(1);
@@ -434,11 +399,7 @@ impl Recipe {
     /// Memory is allocated only at an alarm, for a new robot, event or failure mode, and when learning ends.
     pub fn observe(&mut self, cycle: &Cycle, settings: &Settings, emit: &mut dyn FnMut(Alarm)) -> Judged {
         self.state.cycles += 1;
-        if let Some(new) = cycle.events.keys().find(|name| !self.state.reported_events.contains(*name))
-            && self.state.reported_events.len() < MOST_PARAMETERS
-        {
-            self.state.reported_events.insert(new.clone());
-        }
+        self.note_events(cycle);
         let judged = self.judge(cycle);
         let robot = self.count_robot(cycle, settings);
         let binned = self.binned.as_ref();
@@ -678,12 +639,10 @@ impl Recipe {
             if metric == Metric::Robot {
                 return self.robot_detector(settings);
             }
-            let silent = || {
-                matches!(metric, Metric::Outside | Metric::Risk)
-                    && self.unreported().is_some_and(|names| names.len() + 1 == self.state.outside.len())
-            };
             let levels = match (&self.factors[i], &self.state.evidence[i]) {
-                (Some(_), Some(_)) if silent() => Err("no cycle reported a parameter of the validated region"),
+                (Some(_), Some(_)) if self.lacks_parameters(metric) => {
+                    Err("no cycle reported a parameter of the validated region")
+                }
                 (None, _) if self.lacks_event(metric, settings) => Err("no cycle reported this event"),
                 (Some(factors), Some(evidence)) => {
                     Ok(Level::ALL.map(|level| (evidence[level as usize].value(factors), settings.limit(metric, level))))

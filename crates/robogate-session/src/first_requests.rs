@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::thread;
 
 use anyhow::anyhow;
-use robogate_core::{Environment, Fault, FaultKind, Policy};
+use robogate_core::{Action, Environment, Fault, FaultKind, Observation, Policy, Scenario};
 use robogate_dictionary::ComparedServers;
 use robogate_policy::{Access, Fingerprint, Likeness, Profile, Query, Recorder, Servers};
 use robogate_stats::format::counted;
@@ -137,7 +137,7 @@ impl Subject {
         let url = source.servers.urls().first().map_or("", String::as_str);
         let asked = connect(url, Arc::clone(&source.profile), source.access.clone())?.recording(Some(recorder.clone()));
         let mut policy = mapped(Box::new(asked), &source.profile, source.map());
-        let ended = begin_episode(&mut *environment, &mut *policy, || recorder.kept() >= wanted);
+        let ended = begin_episode(&mut *environment, &mut *policy, &nominal(), |_, _| recorder.kept() >= wanted);
         match (ended, recorder.take()) {
             (Err(Stopped::Environment(fault)), queries) if queries.is_empty() => Ok(Err(fault)),
             (Err(Stopped::Policy(fault)), _) => {
@@ -150,15 +150,17 @@ impl Subject {
     }
 }
 
-/// Runs the beginning of a nominal episode until there is enough, or for some control periods. `enough` is asked after each action.
+/// Runs the beginning of an episode until there is enough, or for some control periods. `enough` gets each action with the observation
+/// before it.
 pub(crate) fn begin_episode(
     environment: &mut dyn Environment,
     policy: &mut dyn Policy,
-    mut enough: impl FnMut() -> bool,
+    scenario: &Scenario,
+    mut enough: impl FnMut(&Observation, &Action) -> bool,
 ) -> Result<(), Stopped> {
-    let scenario = nominal();
-    let start = environment.reset(&scenario).map_err(Stopped::Environment)?;
+    let start = environment.reset(scenario).map_err(Stopped::Environment)?;
     let task = Arc::clone(environment.task());
+    policy.note_applied(&start.applied);
     policy.reset(&task, &start.instance, scenario.seed).map_err(Stopped::Policy)?;
     let mut observation = start.observation;
     for _ in 0..PERIODS {
@@ -166,7 +168,7 @@ pub(crate) fn begin_episode(
             observation.images = environment.render().map_err(Stopped::Environment)?;
         }
         let action = policy.act(&observation).map_err(Stopped::Policy)?;
-        if enough() {
+        if enough(&observation, &action) {
             break;
         }
         let step = environment.step(&action).map_err(Stopped::Environment)?;

@@ -5,9 +5,11 @@ use std::num::NonZeroUsize;
 use std::time::{Duration, Instant};
 
 use robogate_campaign::{Worker, WorkerFactory};
+use robogate_core::{Action, Observation};
 use robogate_policy::Usage;
 use robogate_stats::format::{counted, fixed, percent};
 
+use crate::cell::nominal;
 use crate::first_requests::begin_episode;
 use crate::notice::note;
 use crate::policy_source::PolicySource;
@@ -78,7 +80,7 @@ impl Subject {
         let Worker { mut environment, mut policy } = self.worker().ok()?;
         let mut begun = None;
         let mut last = None;
-        let enough = || {
+        let enough = |_: &Observation, _: &Action| {
             let (usage, now) = (source.servers.usage(), Instant::now());
             let &mut (first, since) = begun.get_or_insert((usage, now));
             let (used, time) = (usage.since(first), now.duration_since(since));
@@ -88,7 +90,7 @@ impl Subject {
             used.requests >= MEASURED || time > LONGEST
         };
         // An error is one of the run too, which reports it.
-        begin_episode(&mut *environment, &mut *policy, enough).ok()?;
+        begin_episode(&mut *environment, &mut *policy, &nominal(), enough).ok()?;
         let (Usage { requests, waited, .. }, time) = last?;
         let of_process = self.process_of_environment();
         let own = || Some((memory("/proc/self/status", "VmRSS:")? - memory_before?).max(32e6));

@@ -10,12 +10,13 @@ use std::path::Path;
 use anyhow::anyhow;
 use robogate_campaign::folder::DICTIONARY;
 use robogate_campaign::{Worker, WorkerFactory};
-use robogate_core::{Action, Command, Fault, Observation, Scenario};
+use robogate_core::{Observation, Scenario};
 use robogate_dictionary::Dictionary;
 use robogate_policy::{Array, Asked, Chunk, Dtype, Fingerprint, PolicyError, Profile, Query};
 use serde_json::{Value, json};
 
 use crate::failure::{Failure, OrFailure};
+use crate::first_requests::{Stopped, begin_episode};
 use crate::policy_source::{PolicyChoice, PolicyLocation, PolicySource};
 use crate::reopening::Reopening;
 use crate::subject::Subject;
@@ -93,25 +94,18 @@ impl Rehearsal {
     fn episode(&mut self, index: u64) -> Result<(Observation, Chunk), PolicyError> {
         let scenario = self.scenarios.get(&index);
         let scenario = scenario.ok_or_else(|| PolicyError::Observation(format!("there is no scenario {index}")))?;
-        let failed = |fault: Fault| PolicyError::Observation(fault.to_string());
-        let Worker { environment, policy } = &mut self.worker;
-        let start = environment.reset(scenario).map_err(failed)?;
-        policy.note_applied(&start.applied);
-        policy.reset(environment.task(), &start.instance, scenario.seed).map_err(failed)?;
-        let (first, mut observation) = (start.observation.clone(), start.observation);
+        let mut first = None;
         let mut rows: Vec<Vec<f64>> = Vec::new();
-        while rows.len() < PERIODS {
-            if policy.wants_images() {
-                observation.images = environment.render().map_err(failed)?;
-            }
-            let action = policy.act(&observation).map_err(failed)?;
-            rows.push(numbers(&action));
-            let step = environment.step(&action).map_err(failed)?;
-            if step.ending.is_some() {
-                break;
-            }
-            observation = step.observation;
-        }
+        let begun =
+            begin_episode(&mut *self.worker.environment, &mut *self.worker.policy, scenario, |observation, action| {
+                first.get_or_insert_with(|| observation.clone());
+                rows.push(action.command.numbers().into_iter().chain(action.gripper).collect());
+                rows.len() >= PERIODS
+            });
+        begun.map_err(|(Stopped::Environment(fault) | Stopped::Policy(fault))| {
+            PolicyError::Observation(fault.to_string())
+        })?;
+        let first = first.ok_or_else(|| PolicyError::Observation(format!("scenario {index} has no control period")))?;
         let width = rows.first().map_or(0, Vec::len);
         rows.resize(PERIODS, vec![0.0; width]);
         Ok((first, Chunk::of_rows(rows)?))
@@ -155,15 +149,6 @@ fn scenarios(dictionary: &Dictionary, wanted: impl Fn(u64) -> bool) -> Result<Ve
         }
     }
     Ok(found)
-}
-
-/// The numbers of an action.
-fn numbers(action: &Action) -> Vec<f64> {
-    let motion = match &action.command {
-        Command::JointPosition(numbers) | Command::Vector(numbers) => numbers.clone(),
-        Command::ToolDelta { translation_m, rotation_rad } => [*translation_m, *rotation_rad].concat(),
-    };
-    motion.into_iter().chain(action.gripper).collect()
 }
 
 fn states(observation: &Observation) -> Vec<(String, Array)> {

@@ -3,49 +3,20 @@
 
 mod common;
 
-use robogate_core::{
-    Action, Command, FailureMode, Fault, Observation, Outcome, Policy, Seed, TaskInstance, TaskSpec, check_applied,
-    rollout,
-};
+use robogate_core::{FailureMode, Outcome, check_applied, rollout};
 use robogate_tasks::{ArmEnvironment, ArmTask, Rig};
 
-use common::{EngineKind, arm_tasks, scenario};
+use common::{EngineKind, Idle, arm_tasks, scenario};
 
 fn environment(task: &dyn ArmTask, robot: &str) -> ArmEnvironment {
     task.on(EngineKind::Mujoco.robot(robot).engine(), Rig { picture_px: [16; 2], ..Rig::default() }).unwrap()
-}
-
-/// A policy that keeps its first posture and gives up.
-#[derive(Default)]
-struct Idle(Vec<f64>);
-
-impl Policy for Idle {
-    fn check(&self, _: &TaskSpec) -> Result<(), String> {
-        Ok(())
-    }
-
-    fn reset(&mut self, _: &TaskSpec, _: &TaskInstance, _: Seed) -> Result<(), Fault> {
-        self.0.clear();
-        Ok(())
-    }
-
-    fn act(&mut self, observation: &Observation) -> Result<Action, Fault> {
-        if self.0.is_empty() {
-            self.0 = observation.joint_positions().to_vec();
-        }
-        Ok(Action { command: Command::JointPosition(self.0.clone()), gripper: Some(Action::OPEN), phase: None })
-    }
-
-    fn gave_up(&self) -> bool {
-        true
-    }
 }
 
 #[test]
 fn giving_up_ends_an_episode_early() {
     for task in arm_tasks() {
         let mut environment = environment(task, "franka");
-        let episode = rollout(&mut environment, &mut Idle::default(), &scenario(0, &[]));
+        let episode = rollout(&mut environment, &mut Idle { gives_up: true, ..Idle::default() }, &scenario(0, &[]));
         let limit_s = robogate_core::Environment::task(&environment).time_limit_s;
         assert_eq!(episode.outcome, Outcome::Failure(FailureMode::TIMEOUT), "{}", task.name());
         assert!((episode.time_s - limit_s).abs() < 1e-9, "{}: {} s", task.name(), episode.time_s);

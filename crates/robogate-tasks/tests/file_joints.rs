@@ -7,14 +7,11 @@ use std::fs;
 use std::path::Path;
 use std::sync::Arc;
 
-use robogate_core::{
-    Action, Allowed, Command, Environment, Fault, Observation, Outcome, Policy, Seed, TaskInstance, TaskSpec, Value,
-    check_applied, rollout,
-};
+use robogate_core::{Allowed, Environment, Outcome, Value, check_applied, rollout};
 use robogate_tasks::file::{FILE, FileTask};
 use robogate_tasks::{ArmDeclaration, ArmEnvironment, ArmTask, Rig};
 
-use common::{EngineKind, scenario};
+use common::{EngineKind, Idle, scenario};
 
 const ENGINES: &[EngineKind] = &[
     EngineKind::Mujoco,
@@ -29,28 +26,6 @@ fn on(task: &FileTask, engine: EngineKind, robot: &str) -> ArmEnvironment {
 fn shipped(task: &str) -> FileTask {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets/tasks").join(task);
     FileTask::read(&fs::read_to_string(folder.join(FILE)).unwrap()).unwrap()
-}
-
-/// A policy that keeps its first posture.
-#[derive(Default)]
-struct Idle(Vec<f64>);
-
-impl Policy for Idle {
-    fn check(&self, _: &TaskSpec) -> Result<(), String> {
-        Ok(())
-    }
-
-    fn reset(&mut self, _: &TaskSpec, _: &TaskInstance, _: Seed) -> Result<(), Fault> {
-        self.0.clear();
-        Ok(())
-    }
-
-    fn act(&mut self, observation: &Observation) -> Result<Action, Fault> {
-        if self.0.is_empty() {
-            self.0 = observation.joint_positions().to_vec();
-        }
-        Ok(Action { command: Command::JointPosition(self.0.clone()), gripper: Some(Action::OPEN), phase: None })
-    }
 }
 
 /// A part on a joint, away from the robot and the others.

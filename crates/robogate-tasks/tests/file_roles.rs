@@ -3,38 +3,14 @@
 
 mod common;
 
-use robogate_core::{
-    Action, Assignment, Command, Environment, Fault, Observation, Outcome, Policy, Scenario, Seed, TaskInstance,
-    TaskSpec, Value, check_applied, rollout,
-};
+use robogate_core::{Assignment, Environment, Outcome, Scenario, Value, check_applied, rollout};
 use robogate_tasks::file::FileTask;
 use robogate_tasks::{ArmDeclaration, ArmEnvironment, ArmTask, Rig};
 
-use common::{EngineKind, scenario, stacking};
+use common::{EngineKind, Idle, scenario, stacking};
 
 fn environment(task: &dyn ArmTask) -> ArmEnvironment {
     task.on(EngineKind::Mujoco.robot("franka").engine(), Rig { picture_px: [16; 2], ..Rig::default() }).unwrap()
-}
-
-/// A policy that keeps its first posture.
-struct Idle(Vec<f64>);
-
-impl Policy for Idle {
-    fn check(&self, _: &TaskSpec) -> Result<(), String> {
-        Ok(())
-    }
-
-    fn reset(&mut self, _: &TaskSpec, _: &TaskInstance, _: Seed) -> Result<(), Fault> {
-        self.0.clear();
-        Ok(())
-    }
-
-    fn act(&mut self, observation: &Observation) -> Result<Action, Fault> {
-        if self.0.is_empty() {
-            self.0 = observation.joint_positions().to_vec();
-        }
-        Ok(Action { command: Command::JointPosition(self.0.clone()), gripper: Some(Action::OPEN), phase: None })
-    }
 }
 
 /// Two cubes that fall; the first one to be named `upper` starts higher.
@@ -122,7 +98,7 @@ fn settings_words_and_derived_numbers_act() {
         let read = environment.engine().read_back().unwrap();
         let masses = [read.mass_kg, read.others[0].mass_kg];
         assert_eq!(masses, if word == "red" { [5.0, 0.2] } else { [0.2, 5.0] });
-        let episode = rollout(&mut environment, &mut Idle(Vec::new()), &scenario);
+        let episode = rollout(&mut environment, &mut Idle::default(), &scenario);
         let Outcome::Failure(mode) = episode.outcome else { panic!("{:?}", episode.outcome) };
         assert_eq!(mode.as_str(), "low");
         (episode.measures.get("fall_s").unwrap(), episode.measures.get("height_m").unwrap())

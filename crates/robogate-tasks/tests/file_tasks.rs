@@ -6,15 +6,12 @@ mod common;
 use std::fs;
 use std::path::Path;
 
-use robogate_core::{
-    Action, Allowed, Assignment, Command, Environment, FailureMode, Fault, Observation, Outcome, Policy, Seed,
-    TaskInstance, TaskSpec, Value, check_applied, rollout,
-};
+use robogate_core::{Allowed, Assignment, Environment, FailureMode, Outcome, Policy, Value, check_applied, rollout};
 use robogate_physics::Robot;
 use robogate_tasks::file::{FILE, FileTask};
 use robogate_tasks::{ArmDeclaration, ArmEnvironment, ArmTask, Rig};
 
-use common::{EngineKind, scenario};
+use common::{EngineKind, Idle, scenario};
 
 /// The shipped tasks with the robots that solve them.
 const SHIPPED: [(&str, &[&str]); 11] = [
@@ -106,28 +103,6 @@ fn parameters_act_in_the_engine() {
                 );
             }
         }
-    }
-}
-
-/// A policy that keeps its first posture.
-#[derive(Default)]
-struct Idle(Vec<f64>);
-
-impl Policy for Idle {
-    fn check(&self, _: &TaskSpec) -> Result<(), String> {
-        Ok(())
-    }
-
-    fn reset(&mut self, _: &TaskSpec, _: &TaskInstance, _: Seed) -> Result<(), Fault> {
-        self.0.clear();
-        Ok(())
-    }
-
-    fn act(&mut self, observation: &Observation) -> Result<Action, Fault> {
-        if self.0.is_empty() {
-            self.0 = observation.joint_positions().to_vec();
-        }
-        Ok(Action { command: Command::JointPosition(self.0.clone()), gripper: Some(Action::OPEN), phase: None })
     }
 }
 

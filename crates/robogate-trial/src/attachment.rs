@@ -1,11 +1,11 @@
 //! Files that belong to a trial: recordings, logs, data sets. The journal has their digests, and the folder of the study a copy.
 
-use std::fs::{self, File};
-use std::io::{self, Read, Write};
+use std::fs;
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
+use robogate_dictionary::{file_digest, files};
 use serde::{Deserialize, Serialize};
-use sha2::{Digest, Sha256};
 
 use crate::{Problem, Study};
 
@@ -45,7 +45,7 @@ pub(crate) fn copied(study: &Path, code: &str, from: &Path) -> Result<Vec<Attach
         let mut attachment = Attachment { name: name.clone(), bytes: 0, sha256: String::new() };
         let to = attachment.path(study, code).ok_or_else(|| failed("its name cannot be stored".to_owned()))?;
         if let Some(folder) = to.parent() {
-            robogate_dictionary::files::create_folders(folder).map_err(|error| failed(error.to_string()))?;
+            files::create_folders(folder).map_err(|error| failed(error.to_string()))?;
         }
         let target = fs::OpenOptions::new().write(true).create_new(true).open(&to);
         let mut target = target.map_err(|error| match error.kind() {
@@ -53,8 +53,8 @@ pub(crate) fn copied(study: &Path, code: &str, from: &Path) -> Result<Vec<Attach
             _ => failed(error.to_string()),
         })?;
         done.push((to.clone(), attachment.clone()));
-        (attachment.bytes, attachment.sha256) =
-            digest(path, &mut |bytes| target.write_all(bytes)).map_err(|error| failed(error.to_string()))?;
+        (attachment.bytes, attachment.sha256) = file_digest(path, MOST_BYTES, &mut |bytes| target.write_all(bytes))
+            .map_err(|error| failed(error.to_string()))?;
         target.sync_all().map_err(|error| failed(error.to_string()))?;
         if let Some((_, last)) = done.last_mut() {
             *last = attachment;
@@ -65,8 +65,8 @@ pub(crate) fn copied(study: &Path, code: &str, from: &Path) -> Result<Vec<Attach
     });
     let flushed = all.and_then(|()| {
         let folder = study.join(ATTACHMENTS);
-        robogate_dictionary::files::sync_all_below(&folder)
-            .and_then(|()| robogate_dictionary::files::sync_folder(study))
+        files::sync_all_below(&folder)
+            .and_then(|()| files::sync_folder(study))
             .map_err(|error| Problem::File { path: folder, reason: error.to_string() })
     });
     if let Err(error) = flushed {
@@ -95,7 +95,7 @@ pub fn check_attachments(folder: &Path, study: &Study) -> Result<u64, Problem> {
             if !regular {
                 return Err(lost(path, "it is missing, or has another size than the journal says"));
             }
-            let found = digest(&path, &mut |_| Ok(()));
+            let found = file_digest(&path, MOST_BYTES, &mut |_| Ok(()));
             let found = found.map_err(|error| Problem::File { path: path.clone(), reason: error.to_string() })?;
             if found != (attachment.bytes, attachment.sha256.clone()) {
                 return Err(lost(path, "its content is not the one that was attached"));
@@ -104,24 +104,6 @@ pub fn check_attachments(folder: &Path, study: &Study) -> Result<u64, Problem> {
         }
     }
     Ok(checked)
-}
-
-/// Size and SHA-256 (hex) of a file. `also` receives its content.
-fn digest(path: &Path, also: &mut dyn FnMut(&[u8]) -> io::Result<()>) -> io::Result<(u64, String)> {
-    let (mut file, mut digest, mut bytes) = (File::open(path)?, Sha256::new(), 0);
-    let mut part = vec![0; 1 << 20];
-    loop {
-        let read = file.read(&mut part)?;
-        if read == 0 {
-            return Ok((bytes, robogate_dictionary::hex(&digest.finalize())));
-        }
-        bytes += read as u64;
-        if bytes > MOST_BYTES {
-            return Err(io::Error::new(io::ErrorKind::FileTooLarge, format!("more than {} GiB", MOST_BYTES >> 30)));
-        }
-        digest.update(&part[..read]);
-        also(&part[..read])?;
-    }
 }
 
 /// The files at a path with their names: the file itself, or all below a folder.

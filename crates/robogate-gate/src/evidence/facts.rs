@@ -1,10 +1,9 @@
 //! Facts that are computed from the files of a folder, both when evidence is written and when it is verified.
 
-use std::fs;
-use std::io::{self, Read};
+use std::io;
 use std::path::Path;
 
-use robogate_dictionary::{Dictionary, TaskIdentity, Tool, hex, read_regular_text};
+use robogate_dictionary::{Dictionary, TaskIdentity, Tool, file_digest, hex, read_regular_text};
 use sha2::{Digest, Sha256};
 
 use super::{
@@ -89,18 +88,9 @@ pub(super) fn manifest(
     })
 }
 
-/// Size and SHA-256 of a regular file, computed in bounded memory.
+/// Size and SHA-256 of a regular file.
 pub(super) fn digest(path: &Path) -> io::Result<(u64, String)> {
-    let mut file = fs::File::open(path)?;
-    let (mut hash, mut bytes, mut buffer) = (Sha256::new(), 0, vec![0; 1 << 16]);
-    loop {
-        let n = file.read(&mut buffer)?;
-        if n == 0 {
-            return Ok((bytes, hex(&hash.finalize())));
-        }
-        bytes += n as u64;
-        hash.update(buffer.get(..n).unwrap_or_default());
-    }
+    file_digest(path, u64::MAX, &mut |_| Ok(()))
 }
 
 pub(super) fn sha256(bytes: &[u8]) -> String {

@@ -14,9 +14,6 @@ pub const MOST_LINES: usize = 50_000;
 pub const MOST_MALFORMED: u64 = 1_000;
 /// Maximum number of refusals in a reply.
 pub(super) const LISTED: usize = 100;
-/// Maximum length of a problem in a reply, in bytes. A problem can quote the line.
-const LONGEST_PROBLEM: usize = 300;
-
 /// A batch with more than [`MOST_LINES`] lines. None of them was accepted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("the batch has more than {MOST_LINES} lines. Send smaller batches")]
@@ -44,11 +41,7 @@ impl Batch {
     /// If there are too many lines.
     pub fn parse(text: &[u8]) -> Result<Self, TooManyLines> {
         let mut batch = Self { bytes: text.len(), ..Self::default() };
-        // Programs on Windows begin a file with a byte-order mark.
-        let text = text.strip_prefix(b"\xef\xbb\xbf").unwrap_or(text);
-        let lines = text.split(|byte| *byte == b'\n').zip(1_u64..);
-        let lines = lines.map(|(text, line)| (line, text.trim_ascii())).filter(|(_, text)| !text.is_empty());
-        for (at, (line, text)) in lines.enumerate() {
+        for (at, (line, text)) in lines(text).enumerate() {
             if at == MOST_LINES {
                 return Err(TooManyLines);
             }
@@ -92,13 +85,20 @@ impl Batch {
         Self { sender: Some((name.to_owned(), Instant::now())), ..self }
     }
 
-    fn refuse(&mut self, line: u64, mut because: String) {
+    fn refuse(&mut self, line: u64, because: String) {
         self.malformed += 1;
         if self.problems.len() < LISTED {
-            because.truncate(because.floor_char_boundary(LONGEST_PROBLEM));
-            self.problems.push(Refused { line, because });
+            self.problems.push(Refused::new(line, because));
         }
     }
+}
+
+/// The lines of a body that are not blank, with their numbers from 1.
+pub(super) fn lines(text: &[u8]) -> impl Iterator<Item = (u64, &[u8])> {
+    // Programs on Windows begin a file with a byte-order mark.
+    let text = text.strip_prefix(b"\xef\xbb\xbf").unwrap_or(text);
+    let lines = text.split(|byte| *byte == b'\n').zip(1_u64..);
+    lines.map(|(text, line)| (line, text.trim_ascii())).filter(|(_, text)| !text.is_empty())
 }
 
 fn parse(text: &[u8]) -> Result<(Cycle, String), String> {
@@ -110,6 +110,7 @@ fn parse(text: &[u8]) -> Result<(Cycle, String), String> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::intake::LONGEST_PROBLEM;
     use super::*;
 
     #[test]

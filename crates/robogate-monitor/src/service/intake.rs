@@ -66,13 +66,24 @@ pub struct Taken {
     pub refusals: Vec<Refused>,
 }
 
-/// A refused cycle.
+/// Maximum length of a problem in a reply, in bytes. A problem can quote the line.
+pub(super) const LONGEST_PROBLEM: usize = 300;
+
+/// A refused cycle, or control period.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Refused {
     /// Its line, from 1.
     pub line: u64,
     /// The problem.
     pub because: String,
+}
+
+impl Refused {
+    /// A refusal of a line, with the beginning of its problem.
+    pub(super) fn new(line: u64, mut because: String) -> Self {
+        because.truncate(because.floor_char_boundary(LONGEST_PROBLEM));
+        Self { line, because }
+    }
 }
 
 impl Taken {

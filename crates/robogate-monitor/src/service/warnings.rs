@@ -5,7 +5,7 @@
 
 use serde::Serialize;
 
-use super::batch::{LISTED, MOST_LINES, TooManyLines};
+use super::batch::{LISTED, MOST_LINES, TooManyLines, lines};
 use super::intake::Refused;
 use super::store::{Store, StoreError};
 use crate::warn::{Feed, FeedEvent, Period, Tally, WarnError, WarnFile, Warning};
@@ -13,8 +13,6 @@ use crate::{Alarm, Happening, Level, Monitor};
 
 /// The metric of these alarms.
 const METRIC: &str = "warning";
-/// Maximum length of a problem in a reply, in bytes. A problem can quote the line.
-const LONGEST_PROBLEM: usize = 300;
 
 /// Control periods, parsed before they reach the engine's thread.
 #[derive(Debug, Clone, Default)]
@@ -30,10 +28,8 @@ impl Periods {
     /// # Errors
     /// If there are too many lines.
     pub fn parse(text: &[u8], now_s: f64) -> Result<Self, TooManyLines> {
-        let lines = text.split(|byte| *byte == b'\n').zip(1_u64..);
-        let lines = lines.map(|(text, line)| (line, text.trim_ascii())).filter(|(_, text)| !text.is_empty());
         let mut all = Vec::new();
-        for (line, text) in lines {
+        for (line, text) in lines(text) {
             if all.len() == MOST_LINES {
                 return Err(TooManyLines);
             }
@@ -166,11 +162,10 @@ impl Warnings {
                         self.follow(event, periods.now_s, monitor, &mut heard, emit);
                     }
                 }
-                Err(mut because) => {
+                Err(because) => {
                     heard.rejected += 1;
                     if heard.rejections.len() < LISTED {
-                        because.truncate(because.floor_char_boundary(LONGEST_PROBLEM));
-                        heard.rejections.push(Refused { line, because });
+                        heard.rejections.push(Refused::new(line, because));
                     }
                 }
             }

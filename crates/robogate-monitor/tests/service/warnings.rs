@@ -180,7 +180,7 @@ fn topics_give_control_periods() {
     let map = TopicMap::parse(map).unwrap();
     assert_eq!(map.topics().len(), 4);
     let mut reader = TopicReader::new(map);
-    // Outside of an episode, a command is no control period.
+    // A command outside of an episode is not a control period.
     reader.observe("/command", 1.0, json!({ "stamp": 1.0, "data": [0.1] }));
     assert!(reader.take_periods().is_empty());
     reader.observe("/start", 2.0, json!({ "stamp": { "sec": 2, "nanosec": 0 }, "mass": 0.4 }));

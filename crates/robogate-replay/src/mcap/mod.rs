@@ -211,12 +211,12 @@ fn joints(task: &TaskSpec, positions: &[f64], velocities: &[f64]) -> Vec<Value> 
 }
 
 fn command(action: &Action, time_s: f64) -> Value {
-    let (kind, values) = match &action.command {
-        Command::JointPosition(values) => ("joint_position", values.clone()),
-        Command::ToolDelta { translation_m, rotation_rad } => ("tool_delta", [*translation_m, *rotation_rad].concat()),
-        Command::Vector(values) => ("vector", values.clone()),
+    let kind = match &action.command {
+        Command::JointPosition(_) => "joint_position",
+        Command::ToolDelta { .. } => "tool_delta",
+        Command::Vector(_) => "vector",
     };
-    let mut message = json!({ "timestamp": stamp(time_s), "kind": kind, "values": values });
+    let mut message = json!({ "timestamp": stamp(time_s), "kind": kind, "values": action.command.numbers() });
     if let Some(gripper) = action.gripper {
         message["gripper"] = json!(gripper);
     }

@@ -16,7 +16,7 @@ impl Subject {
     /// The same subject with the warner of this choice.
     ///
     /// # Errors
-    /// A file that is no detector of this task, and a reaction that the task or the policy does not allow.
+    /// A file that is not a detector of this task, and a reaction that the task or the policy does not allow.
     pub fn with_warner(self, choice: &WarnerChoice) -> Result<Self, Failure> {
         self.warned(choice.record()?)
     }

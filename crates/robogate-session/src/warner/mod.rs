@@ -63,7 +63,7 @@ pub fn on_warning(text: &str) -> Result<OnWarning, String> {
 /// Reads the file of a detector, and its text.
 ///
 /// # Errors
-/// A file that cannot be read, or that is no detector.
+/// A file that cannot be read, or that is not a detector.
 pub fn read_detector(path: &Path) -> Result<(WarnFile, String), Failure> {
     let text = read_text(path).with_context(|| format!("cannot read {}", path.display())).or_request()?;
     Ok((parse(&text, path.display()).or_request()?, text))
@@ -78,7 +78,7 @@ impl WarnerChoice {
     /// The record of the chosen warner. `None` without one.
     ///
     /// # Errors
-    /// A file that is no detector.
+    /// A file that is not a detector.
     pub(crate) fn record(&self) -> Result<Option<WarnerRecord>, Failure> {
         let Some(path) = &self.detector else { return Ok(None) };
         let (_, detector) = read_detector(path)?;

@@ -5,10 +5,12 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use robogate_core::ParameterSpace;
 #[cfg(feature = "mujoco")]
-use robogate_core::{Action, Command, Environment};
-use robogate_core::{Assignment, Episode, Outcome, Scenario, Seed, Value, rollout};
+use robogate_core::Environment;
+use robogate_core::{
+    Action, Assignment, Command, Episode, Fault, Observation, Outcome, ParameterSpace, Policy, Scenario, Seed,
+    TaskInstance, TaskSpec, Value, rollout,
+};
 #[cfg(feature = "mujoco")]
 use robogate_physics::MujocoEngine;
 #[cfg(feature = "rapier")]
@@ -186,4 +188,34 @@ pub(crate) fn runs(task: &FileTask) -> ArmEnvironment {
         environment.step(&Action { command, gripper: Some(Action::OPEN), phase: None }).unwrap();
     }
     environment
+}
+
+/// A policy that keeps its first posture.
+#[derive(Default)]
+pub(crate) struct Idle {
+    pub(crate) posture: Vec<f64>,
+    /// Whether it gives up at once, so that an episode may end as soon as nothing moves.
+    pub(crate) gives_up: bool,
+}
+
+impl Policy for Idle {
+    fn check(&self, _: &TaskSpec) -> Result<(), String> {
+        Ok(())
+    }
+
+    fn reset(&mut self, _: &TaskSpec, _: &TaskInstance, _: Seed) -> Result<(), Fault> {
+        self.posture.clear();
+        Ok(())
+    }
+
+    fn act(&mut self, observation: &Observation) -> Result<Action, Fault> {
+        if self.posture.is_empty() {
+            self.posture = observation.joint_positions().to_vec();
+        }
+        Ok(Action { command: Command::JointPosition(self.posture.clone()), gripper: Some(Action::OPEN), phase: None })
+    }
+
+    fn gave_up(&self) -> bool {
+        self.gives_up
+    }
 }

@@ -52,18 +52,18 @@ pub(super) fn add(
             child.name.as_str(),
             "option" | "size" | "statistic" | "visual" | "custom" | "sensor" | "keyframe" | "extension"
         );
-        if !kept && !child.children.is_empty() | !child.attributes.is_empty() {
+        let empty = child.children.is_empty() && child.attributes.is_empty();
+        if !kept && !empty {
             notes.insert(format!("<{}>", child.name));
         }
         kept
     });
     state_contacts(&mut root);
-    let textured = colors(&root);
-    strip(&mut root, &textured, &mut notes);
+    let colors = colors(&root);
+    strip(&mut root, &colors, &mut notes);
     add_meshes(imported, &mut root, path, find)?;
-    root.children.retain(|child| {
-        !child.children.is_empty() || matches!(child.name.as_str(), "compiler") && !child.attributes.is_empty()
-    });
+    root.children
+        .retain(|child| !child.children.is_empty() || child.name == "compiler" && !child.attributes.is_empty());
     imported.files.insert(name.to_owned(), root.write().into_bytes());
     imported.left_out.extend(notes.into_iter().map(|note| format!("{path}: {note}")));
     Ok(place)

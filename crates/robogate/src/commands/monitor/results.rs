@@ -30,7 +30,7 @@ pub(super) struct OfRows {
     since: f64,
 }
 
-/// Says how many episodes are no cycles.
+/// Says how many episodes do not become cycles.
 pub(super) fn say_left_out(invalid: u64) {
     if invalid > 0 {
         note(format_args!("{} left out: they say nothing about the policy", counted(invalid, "invalid episode")));
